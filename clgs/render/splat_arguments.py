@@ -13,6 +13,9 @@ Floats = npt.NDArray[np.float32]
 
 RENDER_MODES = ("RGB", "D", "ED", "RGB+D", "RGB+ED")
 
+ALONG_RAYS = ("d", "Ed", "RGB-d", "RGB-Ed")
+"""Modes that only gsplat 1.6 has: distances along rays, for its Gaussians in the world."""
+
 UNIT_OPACITY = 1.0 + 1e-6
 """Opacities up to this are 1: sigmoids and products of float32 may round up."""
 
@@ -58,9 +61,14 @@ def check_arguments(
     """Check all arrays, those of the device as the host sees them, against each other.
 
     Raises:
+        NotImplementedError: ``render_mode`` is one that only gsplat 1.6 has.
         TypeError: an argument is no array, or of another dtype.
         ValueError: a shape does not fit, or a number cannot be used; names argument and shape.
     """
+    if render_mode in ALONG_RAYS:
+        raise NotImplementedError(
+            f"render_mode: {render_mode!r}, a distance along rays, is not offered; use 'ED'"
+        )
     if render_mode not in RENDER_MODES:
         raise ValueError(f"render_mode: {render_mode!r} is not one of {', '.join(RENDER_MODES)}")
     if sh_degree is not None and sh_degree not in range(5):

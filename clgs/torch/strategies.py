@@ -20,7 +20,11 @@ from torch import Tensor
 
 
 def compute_relocation(
-    opacities: Tensor, scales: Tensor, ratios: Tensor, binoms: Tensor
+    opacities: Tensor,
+    scales: Tensor,
+    ratios: Tensor,
+    binoms: Tensor,
+    min_opacity: float = 0.0,
 ) -> tuple[Tensor, Tensor]:
     """Opacities and scales with which n copies of a Gaussian look like it alone.
 
@@ -32,6 +36,7 @@ def compute_relocation(
         scales: (N, 3) float32.
         ratios: (N,) int, n; clamped to 1 .. n_max.
         binoms: (n_max, n_max), which tells n_max.
+        min_opacity: copies have no less; gsplat 1.6 gives it, 1.5.3 clamps what is returned.
 
     Returns:
         Opacities (N,) and scales (N, 3) float32.
@@ -39,7 +44,7 @@ def compute_relocation(
     n_max = len(binoms)
     n = ratios.clamp(1, n_max).double()[:, None]
     old = opacities.double()[:, None]
-    new = -torch.expm1(torch.log1p(-old) / n)
+    new = (-torch.expm1(torch.log1p(-old) / n)).clamp(min=min_opacity)
     j = torch.arange(1, n_max + 1, dtype=torch.float64)
     rest = n - j + 1  # C(n, j) = C(n, j - 1) (n - j + 1) / j, which is 0 from j = n + 1 on
     terms = torch.cumprod(rest.clamp(min=0) / j * -new, dim=1) / torch.sqrt(j)

@@ -106,7 +106,7 @@ def test_every_library_that_the_package_imports_is_declared_and_used():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
     features = ("plot", "lpips", "tensorboard", "heif", "video", "view", "gsplat", "jax", "torch")
-    features += ("distributed",)
+    features += ("distributed", "nerfstudio")
     needed = project["dependencies"] + [one for name in features for one in extras[name]]
     declared = {re.match(r"[\w-]+", one)[0] for one in needed}
     imported = {

@@ -167,6 +167,7 @@ def test_nothing_to_draw(device, rng, count, cameras):
         ({"near_plane": -1}, ValueError, "near_plane: -1"),
         ({"eps2d": "x"}, TypeError, "eps2d: is str"),
         ({"render_mode": "RGBD"}, ValueError, "render_mode: 'RGBD'"),
+        ({"render_mode": "RGB-Ed"}, NotImplementedError, "render_mode: 'RGB-Ed'"),
         ({"rasterize_mode": "fast"}, ValueError, "rasterize_mode: 'fast'"),
         ({"tile_size": 8}, NotImplementedError, "tile_size: 8 is not offered"),
         ({"sparse_grad": True}, NotImplementedError, "sparse_grad"),

@@ -77,15 +77,16 @@ def test_mcmc_strategy(rng):
     assert (parameters["opacities"].sigmoid() > 0.29).all()
 
 
-def test_relocation_is_equation_9(rng):
+@pytest.mark.parametrize("smallest", [0.0, 0.1])
+def test_relocation_is_equation_9(rng, smallest):
     """Every term of the double sum, as the paper has it."""
     opacities, ratios = rng.uniform(0.01, 0.99, 60), rng.integers(1, 52, 60)
     scales = rng.uniform(0.1, 2, (60, 3))
     binoms = torch.zeros(51, 51)
     given = (torch.tensor(one, dtype=torch.float32) for one in (opacities, scales))
-    new, found = compute_relocation(*given, torch.tensor(ratios), binoms)
+    new, found = compute_relocation(*given, torch.tensor(ratios), binoms, smallest)
     for at, (opacity, n) in enumerate(zip(opacities, ratios, strict=True)):
-        own = 1 - (1 - opacity) ** (1 / n)
+        own = max(1 - (1 - opacity) ** (1 / n), smallest)
         divisor = sum(
             math.comb(i - 1, k) * (-1) ** k / math.sqrt(k + 1) * own ** (k + 1)
             for i in range(1, n + 1)
