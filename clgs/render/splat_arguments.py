@@ -65,14 +65,7 @@ def check_arguments(
         TypeError: an argument is no array, or of another dtype.
         ValueError: a shape does not fit, or a number cannot be used; names argument and shape.
     """
-    if render_mode in ALONG_RAYS:
-        raise NotImplementedError(
-            f"render_mode: {render_mode!r}, a distance along rays, is not offered; use 'ED'"
-        )
-    if render_mode not in RENDER_MODES:
-        raise ValueError(f"render_mode: {render_mode!r} is not one of {', '.join(RENDER_MODES)}")
-    if sh_degree is not None and sh_degree not in range(5):
-        raise ValueError(f"sh_degree: {sh_degree!r} is not None or 0 to 4")
+    _check_mode(render_mode, sh_degree)
     batch = _array("means", means).shape[:-2]
     if means.ndim < 2:
         raise ValueError(f"means: shape is {means.shape}, expected (..., N, 3)")
@@ -107,8 +100,22 @@ def check_arguments(
     )  # fmt: skip
 
 
+def _check_mode(render_mode: Any, sh_degree: Any) -> None:
+    if not isinstance(render_mode, str):
+        raise TypeError(f"render_mode: is {type(render_mode).__name__}; give a string")
+    if render_mode in ALONG_RAYS:
+        raise NotImplementedError(
+            f"render_mode: {render_mode!r}, a distance along rays, is not offered; use 'ED'"
+        )
+    if render_mode not in RENDER_MODES:
+        raise ValueError(f"render_mode: {render_mode!r} is not one of {', '.join(RENDER_MODES)}")
+    whole = isinstance(sh_degree, int | np.integer) and not isinstance(sh_degree, bool)
+    if sh_degree is not None and not (whole and 0 <= sh_degree <= 4):
+        raise ValueError(f"sh_degree: {sh_degree!r} is not None or 0 to 4")
+
+
 def _array(name: str, value: Any) -> npt.NDArray[Any]:
-    if not isinstance(value, np.ndarray):
+    if not isinstance(value, np.ndarray) or isinstance(value, np.ma.MaskedArray):
         raise TypeError(
             f"{name}: is {type(value).__name__}; give a NumPy array, or one of pyopencl"
         )
@@ -136,8 +143,9 @@ def _fit(
         raise TypeError(f"{name}: dtype is {array.dtype}, expected float32")
     array = np.ascontiguousarray(array, dtype).reshape(math.prod(batch), *shape)
     with np.errstate(all="ignore"):  # the sum of squares may overflow: then every number is asked
-        finite = bool(np.isfinite(np.vdot(array, array)))
-    if not (finite or np.isfinite(array).all()):
+        small = array.astype(np.float32, copy=False)  # on the device everything is
+        finite = bool(np.isfinite(np.vdot(small, small)))
+    if not (finite or np.isfinite(small).all()):
         raise ValueError(f"{name}: {value.shape} has numbers that are not finite")
     return array
 

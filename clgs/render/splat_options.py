@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 
+from clgs.arguments import check_type
+from clgs.opencl.device import Device
 from clgs.ops.general.views import Lens
+from clgs.options import RenderOptions
 
 UNDISTORT = "undistort the photos before"
 GLOBAL = "cameras are global; use None"
 DRAW_AGAIN = "draw them as colors of another call"
+LARGEST = float(np.finfo(np.float32).max)
+FLAGS = ("packed", "absgrad", "segmented")
 
 REFUSED: dict[str, tuple[Any, str]] = {
     "sparse_grad": (False, "gradients are dense; use False"),
@@ -55,9 +59,9 @@ def checked_lens(given: dict[str, Any]) -> Lens:
         values["rolling_shutter"] = None
     for name, (default, instead) in (REFUSED | REFUSED_LATER).items():
         value = values.get(name, default)
-        if value is not default and (default is None or value != default):
+        if value is not default and (default is None or not _is_flag(value, default)):
             raise NotImplementedError(f"{name}: {value!r} is not offered; {instead}")
-    check_tile_size(given["tile_size"])
+    _check_settings(given)
     if given["camera_model"] not in ("pinhole", "ortho"):
         model = given["camera_model"]
         raise NotImplementedError(
@@ -66,13 +70,6 @@ def checked_lens(given: dict[str, Any]) -> Lens:
     if given["rasterize_mode"] not in ("classic", "antialiased"):
         mode = given["rasterize_mode"]
         raise ValueError(f"rasterize_mode: {mode!r} is not 'classic' or 'antialiased'")
-    if given["options"].accuracy.inclusive_stop:
-        raise ValueError("options: an inclusive stop is not offered; use 'parity'")
-    if not 0 < given["alpha_max"] < 1:
-        raise ValueError(f"alpha_max: {given['alpha_max']} is not between 0 and 1")
-    check_size(given["width"], given["height"])
-    names = ("near_plane", "far_plane", "radius_clip", "eps2d")
-    check_numbers(**{name: given[name] for name in names})
     return Lens(
         parallel=given["camera_model"] == "ortho",
         compensated=given["rasterize_mode"] == "antialiased",
@@ -83,21 +80,46 @@ def checked_lens(given: dict[str, Any]) -> Lens:
     )
 
 
+def _check_settings(given: dict[str, Any]) -> None:
+    """Check what needs no other argument; nothing is ignored, even if no result depends on it."""
+    check_tile_size(given["tile_size"])
+    for name in FLAGS:
+        if not any(_is_flag(given[name], flag) for flag in (False, True)):
+            raise TypeError(f"{name}: is {given[name]!r}; give True or False")
+    chunk = given["channel_chunk"]
+    if not isinstance(chunk, int | np.integer) or chunk < 1:
+        raise ValueError(f"channel_chunk: {chunk!r} is not a whole number of at least 1")
+    check_type("options", given["options"], RenderOptions, "see clgs.RenderOptions")
+    if given["options"].accuracy.inclusive_stop:
+        raise ValueError("options: an inclusive stop is not offered; use 'parity'")
+    if given["device"] is not None:
+        check_type("device", given["device"], Device, "see clgs.Device")
+    check_size(given["width"], given["height"])
+    names = ("near_plane", "far_plane", "radius_clip", "eps2d", "alpha_max")
+    check_numbers(**{name: given[name] for name in names})
+    if not 0 < given["alpha_max"] < 1:
+        raise ValueError(f"alpha_max: {given['alpha_max']} is not between 0 and 1")
+
+
+def _is_flag(value: Any, flag: bool) -> bool:
+    return isinstance(value, bool | int | np.bool_) and value == flag
+
+
 def check_tile_size(tile_size: int | None) -> None:
     """NotImplementedError unless it is 16, or None, gsplat's default from 1.6 on."""
-    if tile_size not in (None, 16):
+    if tile_size is not None and not (isinstance(tile_size, int | np.integer) and tile_size == 16):
         raise NotImplementedError(
             f"tile_size: {tile_size!r} is not offered; no picture depends on it; use 16"
         )
 
 
 def check_numbers(**numbers: float) -> None:
-    """TypeError or ValueError unless each is a finite number of at least 0."""
+    """TypeError or ValueError unless each is a number of at least 0 that float32 can hold."""
     for name, value in numbers.items():
         if isinstance(value, bool) or not isinstance(value, int | float | np.number):
             raise TypeError(f"{name}: is {type(value).__name__}; give a number")
-        if not 0 <= value < math.inf:
-            raise ValueError(f"{name}: {value} is not a finite number of at least 0")
+        if not 0 <= value <= LARGEST:
+            raise ValueError(f"{name}: {value} is not a finite float32 of at least 0")
 
 
 def check_size(width: int, height: int) -> None:

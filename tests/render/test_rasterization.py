@@ -167,6 +167,18 @@ def test_nothing_to_draw(device, rng, count, cameras):
         ({"near_plane": -1}, ValueError, "near_plane: -1"),
         ({"eps2d": "x"}, TypeError, "eps2d: is str"),
         ({"render_mode": "RGBD"}, ValueError, "render_mode: 'RGBD'"),
+        ({"render_mode": None}, TypeError, "render_mode: is NoneType"),
+        ({"sh_degree": True}, ValueError, "sh_degree: True"),
+        ({"means": np.ma.zeros((40, 3), np.float32)}, TypeError, "means: is MaskedArray"),
+        ({"viewmats": np.eye(4)[None] * [[1], [1e300], [1], [1]]}, ValueError, "viewmats"),
+        ({"far_plane": 1e39}, ValueError, "far_plane: 1e.39 is not a finite float32"),
+        ({"packed": "no"}, TypeError, "packed: is 'no'"),
+        ({"absgrad": None}, TypeError, "absgrad: is None"),
+        ({"with_ut": np.zeros(2)}, NotImplementedError, "with_ut"),
+        ({"tile_size": np.zeros(2)}, NotImplementedError, "tile_size"),
+        ({"channel_chunk": 0}, ValueError, "channel_chunk: 0"),
+        ({"alpha_max": "x"}, TypeError, "alpha_max: is str"),
+        ({"options": 3}, TypeError, "options: is int"),
         ({"render_mode": "RGB-Ed"}, NotImplementedError, "render_mode: 'RGB-Ed'"),
         ({"rasterize_mode": "fast"}, ValueError, "rasterize_mode: 'fast'"),
         ({"tile_size": 8}, NotImplementedError, "tile_size: 8 is not offered"),
@@ -181,6 +193,11 @@ def test_nothing_to_draw(device, rng, count, cameras):
 def test_what_is_refused(open_device, rng, changes, error, match):
     with pytest.raises(error, match=match):
         clgs.rasterization(**{**scene(rng), **changes}, device=open_device("cpu"))
+
+
+def test_a_device_that_is_none(rng):
+    with pytest.raises(TypeError, match="device: is str"):
+        clgs.rasterization(**scene(rng), device="cpu")
 
 
 def test_gradients_of_the_wrong_shape(open_device, rng):
