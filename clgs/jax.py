@@ -7,6 +7,7 @@ The picture is drawn in a callback on the host (``jax.pure_callback``), so that 
 from __future__ import annotations
 
 from functools import partial
+from inspect import signature
 from typing import Any
 
 import jax
@@ -14,6 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.render.rasterization import rasterization as rasterization_of_numpy
+from clgs.render.splat_arguments import check_arguments
+from clgs.render.splat_options import checked_lens
+
+SIGNATURE = signature(rasterization_of_numpy)
 
 Static = tuple[tuple[str, Any], ...]
 """The arguments that are no arrays, by name."""
@@ -43,7 +48,8 @@ def rasterization(
         colors (..., C, H, W, X) and alphas (..., C, H, W, 1), float32.
 
     Raises:
-        NotImplementedError, TypeError, ValueError: as :func:`clgs.rasterization`, when it is drawn.
+        NotImplementedError, TypeError, ValueError: as :func:`clgs.rasterization`.
+        jax.errors.JaxRuntimeError: a number of a traced array cannot be used; names it, when drawn.
     """
     arrays = {
         "means": means,
@@ -56,10 +62,26 @@ def rasterization(
         "backgrounds": backgrounds,
         "covars": covars,
     }
+    hosts = {name: _shown(array) for name, array in arrays.items()}
+    bound = SIGNATURE.bind(**hosts, width=width, height=height, **others)
+    bound.apply_defaults()
+    checked_lens(bound.arguments)
+    settings = {name: bound.arguments[name] for name in ("sh_degree", "render_mode")}
+    check_arguments(**hosts, **settings)
     static = (("width", width), ("height", height), *sorted(others.items()))
     given = {name: array for name, array in arrays.items() if array is not None}
     result: tuple[jax.Array, jax.Array] = _draw(static, given)
     return result
+
+
+def _shown(array: Any) -> Any:
+    """The numbers of an array; of one that is traced, whose numbers come later, its shape alone."""
+    if not isinstance(array, jax.core.Tracer):
+        return np.asarray(array) if isinstance(array, jax.Array) else array
+    square = array.ndim > 1 and array.shape[-1] == array.shape[-2]
+    return np.broadcast_to(np.eye(array.shape[-1]) if square else 1.0, array.shape).astype(
+        array.dtype
+    )
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(0,))

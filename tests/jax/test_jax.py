@@ -44,3 +44,33 @@ def test_vmap(rng):
     drawn = jax.vmap(lambda one: ours.rasterization(means=one, **given)[0])(means)
     for one, picture in zip(means, drawn, strict=True):
         assert np.array_equal(picture, clgs.rasterization(means=one, **given)[0])
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "match"),
+    [
+        ({"means": np.full((40, 3), np.nan, np.float32)}, ValueError, "means: .* not finite"),
+        ({"means": np.zeros((40, 2), np.float32)}, ValueError, r"means: shape is \(40, 2\)"),
+        ({"viewmats": [[1.0]]}, TypeError, "viewmats: is list"),
+        ({"quats": None}, TypeError, "quats: is NoneType"),
+        ({"width": 0}, ValueError, "width: 0"),
+        ({"sparse_grad": True}, NotImplementedError, "sparse_grad"),
+        ({"far": 1.0}, TypeError, "'far'"),
+    ],
+)
+def test_what_is_refused(rng, changes, error, match):
+    with pytest.raises(error, match=match):
+        ours.rasterization(**{**scene(rng), **changes})
+
+
+def test_what_is_refused_of_arrays_that_are_traced(rng):
+    given = scene(rng)
+    means = given.pop("means")
+
+    def loss(means):
+        return ours.rasterization(means, **given)[0].sum()
+
+    with pytest.raises(ValueError, match=r"opacities: shape is \(40,\), expected \(39,\)"):
+        jax.grad(loss)(means[1:])
+    with pytest.raises(RuntimeError, match=r"means: .* not finite"):
+        jax.grad(loss)(means * np.float32(np.nan))
