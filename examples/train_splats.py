@@ -16,6 +16,7 @@ from clgs.exports.splats.ply import encode_ply
 from clgs.files import atomic_path, atomic_write
 from clgs.scene.camera import Camera
 from clgs.scene.gaussians import OrdinaryGaussians
+from clgs.train.run.load import with_points
 
 RATES = {"means": 1.6e-4, "scales": 5e-3, "quats": 1e-3, "opacities": 5e-2, "sh": 2.5e-3}
 HARMONICS = 16
@@ -91,9 +92,10 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--minutes", type=float, default=1e9, help="of this call, before steps end")
     parser.add_argument("--downscale", type=int, default=0)
     given = parser.parse_args(arguments)
-    data = clgs.load_dataset(given.data, downscale=given.downscale)
-    assert data.point_colors is not None, "the data set has no points with colors"
-    splats = start(torch.tensor(data.points), torch.tensor(data.point_colors) / 255)
+    data = with_points(clgs.load_dataset(given.data, downscale=given.downscale))
+    points = torch.tensor(data.points)
+    gray, found = torch.full_like(points, 0.5), data.point_colors
+    splats = start(points, gray if found is None else torch.tensor(found) / 255)
     state_file, first = given.output / "state.pt", 0
     given.output.mkdir(parents=True, exist_ok=True)
     saved = torch.load(state_file, weights_only=True) if state_file.exists() else None

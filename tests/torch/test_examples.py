@@ -55,6 +55,13 @@ def test_splats_are_trained_and_resumed(tmp_path, capsys):
     assert "held out after 5 steps" in found.splitlines()[-1]
 
 
+def test_splats_begin_without_points_of_the_data(tmp_path, capsys):
+    pytest.importorskip("gsplat", reason="gsplat is not installed: pip install gsplat")
+    folder = write_scene(tmp_path / "balls", train=4, test=1, size=24)
+    run("train_splats.py", folder, tmp_path / "out", "--steps", 2)
+    assert "held out after 2 steps" in capsys.readouterr().out
+
+
 def test_splats_begin_as_wide_as_their_nearest_neighbours_are_away(rng):
     """Far from the origin, too, and if one point is far from all others."""
     points = np.float32(100) + rng.uniform(-1, 1, (600, 3)).astype(np.float32)
