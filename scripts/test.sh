@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Lint and test: ./scripts/test.sh [--ci] [PYTEST ARGUMENTS]. Sets up first.
 # --ci adds the C tests under sanitizers, seconds per fuzz target, a race check of one training step
-# and a short training run. Its tests, slow ones included, run once: on a wheel that is installed in
-# a clean environment, outside of the checkout. scripts/release_checks.sh has what takes hours.
+# and a short training run. Its tests, slow ones included, run once: on a wheel that is installed
+# outside of the checkout. scripts/release_checks.sh has what takes hours.
 set -euo pipefail
 
 unset PYTHONDONTWRITEBYTECODE # else each of the many processes compiles tests and clgs again
@@ -21,6 +21,22 @@ bin=$venv/bin
 
 step() {
     printf '\n== %s (%d s)\n' "$1" "$SECONDS"
+}
+
+# beside FUNCTION: runs it next to what follows. What it says is shown when `join` waits for it.
+beside() {
+    set -m # a process group of its own, so that all of it ends with this script
+    "$1" >"$work/beside" 2>&1 &
+    set +m
+    other=$!
+}
+
+# Fails if the function that runs beside does.
+join() {
+    local status=0
+    wait "$other" || status=$?
+    cat "$work/beside"
+    return "$status"
 }
 
 # Runs even if the checkout belongs to another user, as in a container.
@@ -48,6 +64,11 @@ lint() {
     scripts/checks/lint_kernels.sh
 }
 
+checkout_tests() {
+    step "tests of the checkout"
+    "$python" -m pytest -q --durations=5 -m "not release" tests/house
+}
+
 docs() {
     step "documentation and its links"
     scripts/docs.sh --check
@@ -57,8 +78,8 @@ test_c() {
     step "C tests under sanitizers"
     command -v "$bin/cmake" >/dev/null || "$python" -m pip install --quiet 'cmake>=3.25' </dev/null
     "$bin/cmake" -S . -B build/c -DCLGS_SANITIZE=ON -DCLGS_WERROR=ON >/dev/null
-    "$bin/cmake" --build build/c
-    "$bin/ctest" --test-dir build/c --output-on-failure
+    "$bin/cmake" --build build/c --parallel "$(nproc)" >/dev/null
+    "$bin/ctest" --test-dir build/c --output-on-failure --parallel "$(nproc)"
 }
 
 fuzz() {
@@ -71,23 +92,36 @@ fuzz() {
     PYTHON=$python CHECK=memory scripts/fuzz/fuzz.sh 3
 }
 
-# The wheel in its own environment: $work/venv, with the tests but not the package in $work/tree.
+race_check() {
+    step "race check"
+    scripts/checks/race_check.sh --step "$python"
+}
+
+checks_of_the_checkout() {
+    checkout_tests
+    docs
+    test_c
+    fuzz
+    race_check
+}
+
+# The wheel, with all that its metadata ask for, in $work/venv: it finds them among the packages of
+# $venv, where they are already; clgs of the checkout is hidden. The tests are in $work/tree.
 build_wheel() {
     step "wheel"
     "$python" -m pip wheel --quiet --no-deps --wheel-dir "$work/dist" . </dev/null
     wheel=$(echo "$work"/dist/clgs-*.whl)
     "$python" scripts/checks/check_wheel.py "$wheel"
-    "$python" -m venv "$work/venv" </dev/null
-    "$work/venv/bin/python" -m pip install --quiet "$wheel[dev]" </dev/null
+    "$python" -m venv --without-pip "$work/venv" </dev/null
+    local folder='import sysconfig; print(sysconfig.get_path("purelib"))'
+    "$python" -c "$folder" >"$("$work/venv/bin/python" -c "$folder")/packages.pth"
+    "$python" -m pip --python "$work/venv" install --quiet --no-index "$wheel[dev]" </dev/null
     mkdir "$work/tree"
     cp -R pyproject.toml codec_c scripts tests "$work/tree"
-    cd "$work/tree"
-    ensure_device "$work/venv/bin/python"
 }
 
 smoke() {
-    step "selftest"
-    "$work/venv/bin/clgs" selftest
+    step "selftest" # of the other form: among the tests, by `clgs accept`
     CLGS_SPECIALISATION=gpu "$work/venv/bin/clgs" selftest
     step "the same bits twice, in each form of the kernels"
     for form in cpu gpu; do
@@ -95,8 +129,6 @@ smoke() {
         POCL_MAX_PTHREAD_COUNT=1 CLGS_SPECIALISATION=$form \
             "$work/venv/bin/clgs" conformance --check "$work/$form.json"
     done
-    step "race check"
-    "$root/scripts/checks/race_check.sh" --step "$work/venv/bin/python"
     step "a training run of 50 steps, and its file"
     "$root/scripts/checks/smoke.sh" "$work/venv/bin" "$work/smoke"
 }
@@ -112,16 +144,17 @@ if [ -z "$ci" ]; then
 fi
 
 work=$(mktemp -d)
-trap 'rm -rf "$work"' EXIT
-step "tests of the checkout"
-"$python" -m pytest -q -m "not release" tests/house
-docs
-test_c
-fuzz
+other=
+trap '[ -z "$other" ] || kill -- "-$other" 2>/dev/null || true; rm -rf "$work"' EXIT
+beside checks_of_the_checkout
 build_wheel
+cd "$work/tree"
 export CLGS_TEST_KERNELS=$work/kernels # where one process at a time builds now, and tests look then
 POCL_CACHE_DIR=$CLGS_TEST_KERNELS smoke
 step "tests of the wheel, slow ones included"
 export CLGS_SHARED_DATA=${CLGS_SHARED_DATA:-$root/../shared/data}
-"$work/venv/bin/python" -m pytest "${spread[@]}" -q --durations=20 -m "not release" --ignore tests/house "$@"
+status=0
+"$work/venv/bin/python" -m pytest "${spread[@]}" -q --durations=20 -m "not release" --ignore tests/house "$@" || status=$?
+join || status=$?
 step "done"
+exit "$status"

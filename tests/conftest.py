@@ -30,6 +30,9 @@ if mutant.VARIABLE in os.environ:
     mutant.apply(Path(os.environ[mutant.VARIABLE]))
 
 
+os.environ["LANGUAGE"] = "C"  # else every parser of a command looks for its texts in 60 files
+
+
 hypothesis.settings.register_profile("same", deadline=None, derandomize=True)
 hypothesis.settings.register_profile("new", deadline=None)
 hypothesis.settings.load_profile("same")  # --hypothesis-profile=new: other examples in every run

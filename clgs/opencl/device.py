@@ -19,7 +19,7 @@ from clgs.memory import return_unused_memory
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.choose import choose_device, is_emulator, serves_cpu_form, too_small
 from clgs.opencl.kernel import Argument, Kernel
-from clgs.opencl.programs import Programs
+from clgs.opencl.programs import Programs, context_of
 from clgs.opencl.timing import KernelTimes, Profile, Waits
 from clgs.opencl.transfer import Download, PinnedMemory, Transfers
 
@@ -59,7 +59,7 @@ class Device:
         self.cl_device = choose_device(name)
         if problem := too_small(self.cl_device):
             raise DeviceError(f"{self.name} cannot be used: {problem}; use another --device")
-        self.context = cl.Context([self.cl_device])
+        self.context = context_of(self.cl_device)
         self.queue = cl.CommandQueue(self.context)
         is_cpu = bool(self.cl_device.type & cl.device_type.CPU)
         usual = serves_cpu_form(self.cl_device)

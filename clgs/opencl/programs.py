@@ -1,7 +1,8 @@
-"""Build the programs of ``kernels_cl/`` for one device, each once."""
+"""Build the programs of ``kernels_cl/`` for one device, each once in a process."""
 
 from __future__ import annotations
 
+import functools
 import logging
 import re
 import time
@@ -39,6 +40,15 @@ SCAN_GROUP_SIZE = 256
 Defines = dict[str, int | float]
 Built = tuple[cl.Program, dict[str, tuple[Parameter, ...]]]
 """A program, and the parameters of its kernels."""
+
+_built: dict[tuple[object, ...], cl.Program] = {}
+"""By context, source and options: what a driver keeps takes it 50 ms to bring back."""
+
+
+@functools.cache
+def context_of(cl_device: cl.Device) -> cl.Context:
+    """The context of a device, for all that open it: they share what is built."""
+    return cl.Context([cl_device])
 
 
 class Programs:
@@ -84,12 +94,19 @@ class Programs:
             macros = _macros(self._form, self._lanes, self._prefetch, defines)
             options, file = _options(macros, self._exact), program_file(program, self._form)
             source = read_program(file)
-            tried = self._first_builds.try_build(file, source, options)
+            built = self._build(file, source, options)
+            self._programs[key] = built, signatures(source, macros)
+        return self._programs[key]
+
+    def _build(self, file: str, source: str, options: list[str]) -> cl.Program:
+        seconds = self._first_builds.try_build(file, source, options)
+        key = (self._context, source, *options)
+        if key not in _built:
             start = time.thread_time()
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore", cl.CompilerWarning)
-                    built = cl.Program(self._context, source).build(options)
+                    _built[key] = cl.Program(self._context, source).build(options)
             except cl.RuntimeError as error:
                 # the first line of a build log that names a source line, else its last line
                 log = str(error)
@@ -100,12 +117,11 @@ class Programs:
                     f"kernels_cl/{file} does not build on {self._device_name}: "
                     f"{(errors or marked or lines[-1:] or ['no build log'])[0]}"
                 ) from error
-            seconds = tried + time.thread_time() - start
-            if seconds > COMPILED_SECONDS and not self._told:
-                self._told = True  # the next start of the process need not compile
-                logging.getLogger(NOTES).info("compiling kernels for %s (once)", self._device_name)
-            self._programs[key] = built, signatures(source, macros)
-        return self._programs[key]
+            seconds += time.thread_time() - start
+        if seconds > COMPILED_SECONDS and not self._told:
+            self._told = True  # the next start of the process need not compile
+            logging.getLogger(NOTES).info("compiling kernels for %s (once)", self._device_name)
+        return _built[key]
 
     def build_all(self) -> Iterator[tuple[str, list[Kernel], str]]:
         """Build every program of the form, with the usual sizes.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import threading
 
 import numpy as np
@@ -26,19 +27,25 @@ CAMERA = {
 HASHES = {"scene": "0" * 64, "renders": ["1" * 64], "cameras": [CAMERA]}
 
 
-@pytest.fixture
-def work(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("files")
     scene = random_scene(np.random.default_rng(3), 5)
-    (tmp_path / "s.clgs").write_bytes(encode(scene))
-    save_scene(tmp_path / "s.npz", scene)
-    save_scaffold(tmp_path / "s.ply", scene)
-    save_scaffold(tmp_path / "s.quantized.ply", scene)
-    (tmp_path / "folder").mkdir()
-    (tmp_path / "begun").mkdir()
+    (folder / "s.clgs").write_bytes(encode(scene))
+    save_scene(folder / "s.npz", scene)
+    save_scaffold(folder / "s.ply", scene)
+    save_scaffold(folder / "s.quantized.ply", scene)
+    (folder / "folder").mkdir()
+    (folder / "begun").mkdir()
     for name in ("file", "begun/config.toml"):
-        (tmp_path / name).touch()
-    (tmp_path / "link").symlink_to("s.ply")
+        (folder / name).touch()
+    (folder / "link").symlink_to("s.ply")
+    return folder
+
+
+@pytest.fixture
+def work(files, tmp_path, monkeypatch):
+    monkeypatch.chdir(shutil.copytree(files, tmp_path, symlinks=True, dirs_exist_ok=True))
     return tmp_path
 
 

@@ -39,9 +39,13 @@ def test_a_closed_standard_error_is_no_error(monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(
-    "encoding", ["cp1252", "latin-1", "ascii", "utf-8", "ascii:surrogateescape"]
+    ("command", "encoding"),
+    [
+        *(("info", one) for one in ("cp1252", "latin-1", "ascii", "utf-8")),
+        *(("info", "ascii:surrogateescape"), ("doctor", "ascii:surrogateescape")),
+        *(("decode", "cp1252"), ("unpack", "cp1252"), ("doctor", "cp1252")),
+    ],
 )
-@pytest.mark.parametrize("command", ["info", "decode", "unpack", "doctor"])
 def test_a_path_of_any_letters_is_printed(command, encoding, tmp_path):
     """Letters that the encoding lacks become backslashes, also those of no encoding at all."""
     folder = tmp_path / os.fsdecode(b"\xd0\xb6\xff\xe4\xbd\xa0")
