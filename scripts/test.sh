@@ -23,19 +23,19 @@ step() {
     printf '\n== %s (%d s)\n' "$1" "$SECONDS"
 }
 
-# beside FUNCTION: runs it next to what follows. What it says is shown when `join` waits for it.
-beside() {
+# alongside FUNCTION: runs it next to what follows. What it says is shown when `join` waits for it.
+alongside() {
     set -m # a process group of its own, so that all of it ends with this script
-    "$1" >"$work/beside" 2>&1 &
+    "$1" >"$work/alongside" 2>&1 &
     set +m
     other=$!
 }
 
-# Fails if the function that runs beside does.
+# Fails if the function that runs alongside does.
 join() {
     local status=0
     wait "$other" || status=$?
-    cat "$work/beside"
+    cat "$work/alongside"
     return "$status"
 }
 
@@ -146,7 +146,7 @@ fi
 work=$(mktemp -d)
 other=
 trap '[ -z "$other" ] || kill -- "-$other" 2>/dev/null || true; rm -rf "$work"' EXIT
-beside checks_of_the_checkout
+alongside checks_of_the_checkout
 build_wheel
 cd "$work/tree"
 export CLGS_TEST_KERNELS=$work/kernels # where one process at a time builds now, and tests look then

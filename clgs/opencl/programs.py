@@ -42,7 +42,7 @@ Built = tuple[cl.Program, dict[str, tuple[Parameter, ...]]]
 """A program, and the parameters of its kernels."""
 
 _built: dict[tuple[object, ...], cl.Program] = {}
-"""By context, source and options: what a driver keeps takes it 50 ms to bring back."""
+"""Programs by context, source and options: a driver takes 50 ms to bring back what it keeps."""
 
 
 @functools.cache
