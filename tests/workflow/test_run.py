@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -151,6 +152,19 @@ def test_what_is_lacking_is_made_again_and_its_time_is_added(data, finished, cap
     after = json.loads((finished / "plan.json").read_text())["seconds"]
     assert {name for name in after if after[name] != before[name]} == {"Gaussians"}
     assert after["Gaussians"] > before["Gaussians"]
+
+
+def test_a_clip_without_a_named_path_is_an_orbit(data, finished, tmp_path, capsys):
+    pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
+    out = tmp_path / "out"
+    shutil.copytree(finished, out)
+    (out / "clip.mp4").unlink()
+    plan = json.loads((out / "plan.json").read_text())
+    plan["plan"]["clip"]["path"] = ""
+    (out / "plan.json").write_text(json.dumps(plan))
+    assert cli.main(words(data, out, "--resume")) == 0
+    assert "--path orbit --frames 30 --fps 30 --size 48x32" in capsys.readouterr().out
+    assert (out / "clip.mp4").stat().st_size > 1000
 
 
 @pytest.mark.parametrize("name", ["", "scene.clgs", "scene.ply"])
