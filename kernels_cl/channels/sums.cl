@@ -46,7 +46,10 @@ __kernel void channels_finish(__global const float *sums, const int count, const
         return;
     __global const float *s = sums + (size_t)sums_pitch * (size_t)i;
     const float r1 = whitening[3 * i], l = whitening[3 * i + 1], r2 = whitening[3 * i + 2];
-    const bool drawn = (opacity[i] > 0.0f) & (r1 > 0.0f) & (r2 > 0.0f);
+    bool touched = false; /* else compilers may choose the sign of a zero */
+    for (int j = 0; j <= MOMENT_ALPHA; ++j)
+        touched |= s[j] != 0.0f;
+    const bool drawn = touched & (opacity[i] > 0.0f) & (r1 > 0.0f) & (r2 > 0.0f);
     const float inverse = 1.0f / WHITENING_UNIT, square = inverse * inverse;
     const float m1 = -s[0] * inverse, m2 = -s[1] * inverse, sigma = 1.0f / r1;
     d_mean2d[2 * i] = drawn ? fma(r1, m1, -l * r2 * m2) : 0.0f;

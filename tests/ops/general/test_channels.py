@@ -122,3 +122,16 @@ def test_nothing_to_draw_shows_the_background(device, rng):
     assert device.download(gradients(*zero, True).d_color).shape == (0, 3)
     with pytest.raises(ValueError, match="background"):
         draw(device, scene(rng, 2), background, False, 0.999, [(0, 3)])
+
+
+def test_gradients_of_what_no_pixel_shows_are_zero_without_a_sign(device, rng):
+    """Compilers may choose the sign of a zero that a formula gives: Mesa's chooses another."""
+    values = scene(rng, 3, 20)
+    values["mean2d"][::2] = 500
+    _, gradients = draw(device, values, np.zeros(3, np.float32), False, 0.999, [(0, 3)])
+    d_image = rng.normal(size=(*SIZE[::-1], 3)).astype(np.float32)
+    found = gradients(d_image, np.zeros(SIZE[::-1], np.float32), True)
+    for name in ("d_mean2d", "d_whitening", "d_opacity"):
+        gradient = device.download(getattr(found, name))
+        assert not gradient[::2].view(np.uint32).any(), name
+        assert gradient[1::2].any()
