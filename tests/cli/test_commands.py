@@ -8,10 +8,13 @@ import os
 import subprocess
 import sys
 from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from clgs.scene.anchors import take
+from clgs.scene.storage import load_scene, save_scene
 from tests.cli.calls import exit_code
 from tests.small_scene import write_scene
 
@@ -215,7 +218,9 @@ def test_bench():
 @pytest.mark.slow
 def test_bench_accuracy(run, data, tmp_path):
     figures, plot = tmp_path / "accuracy.json", tmp_path / "accuracy.svg"
-    scenes = ("--scenes", "tiny", "--scene", run, "--data", data)
+    whole = load_scene(run / "scene.npz")
+    save_scene(tmp_path / "few.npz", replace(whole, anchors=take(whole.anchors, slice(300))))
+    scenes = ("--scenes", "tiny", "--scene", tmp_path / "few.npz", "--data", data)
     output = ("--sweeps", "alpha cut", "--repeats", 2, "-o", figures, "--plot", plot)
     printed = succeed("bench", "accuracy", *scenes, *output, CLGS_CACHE=str(tmp_path))
     assert "fast against parity" in printed

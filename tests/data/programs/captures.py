@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import io
 import json
 import shutil
 from collections.abc import Callable
@@ -44,7 +46,8 @@ class Capture:
     def photos(self, folder: Path, names: list[str] | None = None) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         for name, pose in zip(names or self.names, self.poses, strict=True):
-            Image.fromarray(room_image(pose, SIZE, self.focal[0])).save(folder / name)
+            kind = Path(name).suffix.lower()
+            (folder / name).write_bytes(_photo(pose.tobytes(), self.focal[0], kind))
 
     def form(self, name: str) -> Path:
         """The folder of the capture in the form of a program, in place of an earlier one."""
@@ -53,6 +56,14 @@ class Capture:
         root.mkdir(parents=True)
         FORMS[name](self, root)
         return root
+
+
+@functools.cache  # many tests take the same photos
+def _photo(pose: bytes, focal: float, kind: str) -> bytes:
+    file = io.BytesIO()
+    picture = Image.fromarray(room_image(np.frombuffer(pose).reshape(4, 4), SIZE, focal))
+    picture.save(file, Image.registered_extensions()[kind])
+    return file.getvalue()
 
 
 def write_colmap_form(capture: Capture, root: Path) -> None:
