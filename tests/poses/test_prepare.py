@@ -171,6 +171,23 @@ def test_the_same_seed_gives_the_same_bits(tmp_path: Path):
 
 
 @pytest.mark.slow
+def test_real_photos_register_completely(shared_data: Path, tmp_path: Path):
+    source = shared_data / "sceaux_castle" / "images"
+    if not source.is_dir():
+        pytest.skip(f"no shared data: {source} is missing")
+    (tmp_path / "few").mkdir()
+    for photo in sorted(source.iterdir())[:6]:
+        with Image.open(photo) as whole:
+            whole.thumbnail((800, 800))
+            whole.save(tmp_path / "few" / photo.name, quality=95, exif=whole.info.get("exif", b""))
+    summary = prepare(tmp_path / "few", tmp_path / "data")
+    assert (summary.registered, summary.total) == (6, 6)
+    assert {photo.status for photo in summary.photos} == {GOOD}
+    assert summary.points >= 2000
+    assert summary.error <= 1.0
+
+
+@pytest.mark.release
 def test_sceaux_castle_registers_completely(shared_data: Path, tmp_path: Path):
     source = shared_data / "sceaux_castle"
     if not source.is_dir():

@@ -44,34 +44,22 @@ def same(rows, expected):
 
 
 @pytest.mark.slow
-def test_two_workers_make_the_same_scenes(work, tmp_path):
-    expected = alone(work("alone"))
-    assert len({row["scene_hash"] for row in expected.values()}) == 2
-    ended, messages = [], []
-    with connected(2, None) as client:
-        kernels = tmp_path / "kernels"
-        rows = run_tasks(client, run_job, work("dask"), kernels, ended.append, messages.append)
-    same(rows, expected)
-    assert ended == rows
-    assert {message["run"] for message in messages} == set(expected)
-    again = [run_job(job, pytest.fail) for job in work("dask")]
-    same(again, expected)  # read: nothing reports progress
-
-
-@pytest.mark.slow
 def test_the_run_of_a_killed_worker_goes_on(work, tmp_path):
     expected = alone(work("alone")[:1])
-    found, messages = work("killed")[:1], []
+    found, ended, messages = work("killed")[:1], [], []
     folder = Path(found[0]["folder"])
 
     def saved():
         return checkpoints(folder / "checkpoint") and not (folder / ROW).exists()
 
     with connected(2, None) as client, killed_once(client, saved) as killed:
-        ended = (lambda row: None, messages.append)
-        rows = run_tasks(client, run_job, found, tmp_path / "kernels", *ended)
+        kernels = tmp_path / "kernels"
+        rows = run_tasks(client, run_job, found, kernels, ended.append, messages.append)
     assert len(killed) == 1
     same(rows, expected)
+    assert ended == rows
+    assert {message["run"] for message in messages} == set(expected)
+    same([run_job(found[0], pytest.fail)], expected)  # read: nothing reports progress
     first, second = first_steps(messages)
     assert first == 1
     assert second > SAVED  # it did not start again
