@@ -91,6 +91,14 @@ def test_a_finished_run_is_trained_on(dataset, open_device, tmp_path, kept):
         train_scene(dataset, first, longer, device=device, resume=True)
 
 
+@pytest.fixture(scope="module")
+def first(dataset, open_device, tmp_path_factory):
+    """A run of 40 steps."""
+    folder = tmp_path_factory.mktemp("runs") / "first"
+    train_scene(dataset, folder, config().scaled(40), device=open_device("cpu"))
+    return folder
+
+
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
@@ -98,9 +106,8 @@ def test_a_finished_run_is_trained_on(dataset, open_device, tmp_path, kept):
         ({"steps": 41, "position_q": 7.0, "switch_step": 30}, "position_q: positions of .*first"),
     ],
 )
-def test_what_cannot_be_trained_on_is_said(dataset, open_device, tmp_path, changed, said):
-    device, first = open_device("cpu"), tmp_path / "first"
-    train_scene(dataset, first, config().scaled(40), device=device)
+def test_what_cannot_be_trained_on_is_said(dataset, open_device, first, tmp_path, changed, said):
+    device = open_device("cpu")
     longer = replace(config().scaled(40), **changed)
     with pytest.raises(UsageError, match=said):
         train_scene(dataset, tmp_path / "new", longer, device=device, start=first)
