@@ -144,7 +144,7 @@ def add_cluster(
     )
 
 
-def add_device_name(parser: argparse.ArgumentParser) -> None:
+def add_device_name(parser: argparse._ActionsContainer) -> None:
     """Add --device of the commands that use one device."""
     parser.add_argument("--device", help="number or part of the name, see `clgs devices`")
 

@@ -81,8 +81,7 @@ def describe(kernels: str, device: str | None, name: str) -> dict[str, str]:
         opened = opened_device(device)
     except ClgsError as error:
         return {**kind, "error": str(error)}
-    platform_name = opened.cl_device.platform.name.strip()
-    return {**kind, "device": f"{platform_name}, {opened.specialisation} kernels"}
+    return {**kind, "device": opened.kind}
 
 
 def difference(own: dict[str, str], wanted: dict[str, str]) -> str:

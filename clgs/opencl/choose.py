@@ -18,6 +18,9 @@ KINDS = (
     (cl.device_type.ACCELERATOR, "accelerator"),
 )
 
+FORMS = ("cpu", "gpu")
+"""The forms of the kernels: vectors and no local memory, or scalars in work-groups."""
+
 LEAST_WORK_GROUP = 256
 """Work-items of the largest work-group that is launched."""
 
@@ -74,6 +77,40 @@ def serves_cpu_form(device: Any) -> bool:
     return bool(platform.startswith("Intel")) and not is_software(device)
 
 
+def wanted_form() -> str:
+    """What CLGS_SPECIALISATION says, the form of the kernels; empty if it is not set.
+
+    Raises:
+        UsageError: it is neither "cpu" nor "gpu".
+    """
+    chosen = os.environ.get("CLGS_SPECIALISATION", "")
+    if chosen and chosen not in FORMS:
+        choices = " or ".join(FORMS)
+        raise UsageError(f"CLGS_SPECIALISATION={chosen}: is not {choices}; correct or unset it")
+    return chosen
+
+
+def form_of(device: Any) -> str:
+    """The form of the kernels that ``device`` runs: "cpu" or "gpu"; errors of wanted_form."""
+    return wanted_form() or ("cpu" if serves_cpu_form(device) else "gpu")
+
+
+def has_exact_division(device: Any) -> bool:
+    """Whether ``device`` can round division and square root correctly."""
+    exact: int = cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT
+    return bool(device.single_fp_config & exact)
+
+
+def kind_of(device: Any, form: str) -> str:
+    """What the bits of ``device`` depend on, with kernels of ``form``: those of a kind agree.
+
+    That is the platform, whose driver they share, and the form. Where division is not rounded
+    correctly each model divides in its own way.
+    """
+    division = "" if has_exact_division(device) else f", division of {device.name.strip()}"
+    return f"{device.platform.name.strip()}, {form} kernels{division}"
+
+
 def too_small(device: Any) -> str:
     """What ``device`` lacks to run the kernels; empty if it lacks nothing."""
     if device.max_work_group_size < LEAST_WORK_GROUP:
@@ -92,7 +129,7 @@ def _platforms() -> list[Any]:
         return []
 
 
-def choose_device(name: str | None = None) -> Any:
+def choose_device(name: str | None = None, flag: str = "--device") -> Any:
     """One device: by ``name``, else by PYOPENCL_CTX, else the first GPU, else the first CPU.
 
     A GPU with memory of its own comes before one that shares the CPU's. A card that software stands
@@ -100,19 +137,20 @@ def choose_device(name: str | None = None) -> Any:
 
     ``name`` is the number that ``clgs devices`` shows, or a part of the device's or platform's
     name. PYOPENCL_CTX reads as in pyopencl: platform or platform:device, each a number or a part
-    of a name. Emulators (Oclgrind) are taken only by name.
+    of a name. Emulators (Oclgrind) are taken only by name. ``flag``: the option that gave the name,
+    for messages.
 
     Raises:
         UsageError: ``name`` is empty.
         DeviceError: there is no device, or none of that name.
     """
     if name is not None and not name.strip():
-        raise UsageError("--device: the name is empty; `clgs devices` shows what there is")
+        raise UsageError(f"{flag}: the name is empty; `clgs devices` shows what there is")
     devices = list_devices()
     if not devices:
         raise DeviceError(f"no OpenCL device found; {explain()}")
     if name:
-        return _pick(devices, name, f"--device {name}")
+        return _pick(devices, name, f"{flag} {name}")
     if wanted := os.environ.get("PYOPENCL_CTX"):
         # the device that PYOPENCL_CTX names; a platform alone stands for its first device
         platforms = list(dict.fromkeys(device.platform for device in devices))
@@ -158,7 +196,10 @@ def _preference(device: Any) -> int:
 
 @dataclass(frozen=True)
 class DeviceInfo:
-    """One device; sizes in bytes, ``vector_width`` in float32 lanes."""
+    """One device; sizes in bytes, ``vector_width`` in float32 lanes.
+
+    kind: see :func:`kind_of`; devices of one kind may train one scene together.
+    """
 
     index: int
     chosen: bool
@@ -171,6 +212,7 @@ class DeviceInfo:
     max_work_group: int
     local_memory: int
     vector_width: int
+    kind: str
 
 
 def describe_devices() -> list[DeviceInfo]:
@@ -178,6 +220,7 @@ def describe_devices() -> list[DeviceInfo]:
 
     Raises:
         DeviceError: there is no device, or PYOPENCL_CTX names none.
+        UsageError: as of :func:`wanted_form`.
     """
     chosen = choose_device()
     return [
@@ -193,6 +236,7 @@ def describe_devices() -> list[DeviceInfo]:
             max_work_group=device.max_work_group_size,
             local_memory=device.local_mem_size,
             vector_width=device.native_vector_width_float,
+            kind=kind_of(device, form_of(device)),
         )
         for index, device in enumerate(list_devices())
     ]

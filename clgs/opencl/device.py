@@ -17,7 +17,16 @@ from clgs.arguments import check_type
 from clgs.errors import DeviceError, NoRoomError, UsageError
 from clgs.memory import return_unused_memory
 from clgs.opencl.array import DeviceArray
-from clgs.opencl.choose import choose_device, is_emulator, serves_cpu_form, too_small
+from clgs.opencl.choose import (
+    choose_device,
+    form_of,
+    has_exact_division,
+    is_emulator,
+    kind_of,
+    serves_cpu_form,
+    too_small,
+    wanted_form,
+)
 from clgs.opencl.kernel import Argument, Kernel
 from clgs.opencl.programs import Programs, context_of
 from clgs.opencl.timing import KernelTimes, Profile, Waits
@@ -25,8 +34,6 @@ from clgs.opencl.transfer import Download, PinnedMemory, Transfers
 
 POOL_BITS = {"cpu": 0, "gpu": 2}
 """Leading bits of a size, after the first one, that tell apart what the memory pool reuses."""
-
-SPECIALISATIONS = ("cpu", "gpu")
 
 LANES = ("8", "16")
 
@@ -41,12 +48,19 @@ class Device:
     work-item per tile, no local memory) or "gpu" (scalars, work-groups, local memory).
     """
 
-    def __init__(self, name: str | None = None, specialisation: str | None = None) -> None:
+    def __init__(
+        self,
+        name: str | None = None,
+        specialisation: str | None = None,
+        cl_device: cl.Device | None = None,
+    ) -> None:
         """Open a device.
 
         Args:
             name: as for :func:`clgs.opencl.choose.choose_device`.
             specialisation: "cpu" or "gpu"; default CLGS_SPECIALISATION, else by device type.
+            cl_device: pyopencl's in place of a name, such as one of
+                ``device.cl_device.create_sub_devices``.
 
         Raises:
             DeviceError: there is no such device, or it is too small.
@@ -55,15 +69,15 @@ class Device:
         """
         if name is not None:
             check_type("name", name, str, 'a number is one, too: clgs.Device("0")')
-        chosen = specialisation or _wanted_specialisation()
-        self.cl_device = choose_device(name)
+        chosen = specialisation or wanted_form()
+        self.cl_device = choose_device(name) if cl_device is None else cl_device
         if problem := too_small(self.cl_device):
             raise DeviceError(f"{self.name} cannot be used: {problem}; use another --device")
         self.context = context_of(self.cl_device)
         self.queue = cl.CommandQueue(self.context)
         is_cpu = bool(self.cl_device.type & cl.device_type.CPU)
         usual = serves_cpu_form(self.cl_device)
-        self.specialisation = chosen or ("cpu" if usual else "gpu")
+        self.specialisation = chosen or form_of(self.cl_device)
         self.vec = 16 if self.specialisation == "cpu" else 1
         width = int(self.cl_device.native_vector_width_float)
         self._register_lanes = _wanted_lanes() or min(max(width, 4), 16)
@@ -88,8 +102,12 @@ class Device:
     @property
     def exact_division(self) -> bool:
         """Whether division and square root can be, and so are, correctly rounded."""
-        exact: int = cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT
-        return bool(self.cl_device.single_fp_config & exact)
+        return has_exact_division(self.cl_device)
+
+    @property
+    def kind(self) -> str:
+        """What its bits depend on: see :func:`clgs.opencl.choose.kind_of`."""
+        return kind_of(self.cl_device, self.specialisation)
 
     @property
     def is_emulator(self) -> bool:
@@ -356,16 +374,7 @@ class Device:
 
 def check_environment() -> None:
     """UsageError if CLGS_SPECIALISATION or CLGS_LANES hold what no device takes."""
-    _wanted_specialisation(), _wanted_lanes()
-
-
-def _wanted_specialisation() -> str:
-    """What CLGS_SPECIALISATION says; empty if it is not set."""
-    chosen = os.environ.get("CLGS_SPECIALISATION", "")
-    if chosen and chosen not in SPECIALISATIONS:
-        choices = " or ".join(SPECIALISATIONS)
-        raise UsageError(f"CLGS_SPECIALISATION={chosen}: is not {choices}; correct or unset it")
-    return chosen
+    wanted_form(), _wanted_lanes()
 
 
 def _wanted_lanes() -> int:

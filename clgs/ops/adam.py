@@ -8,6 +8,10 @@ gradient are updated, and the others keep parameter and moments (gsplat calls th
 still counts all steps). The factors that depend on t are computed in double on the host. Moments
 too small to matter become zero, so that those of rows that get no gradient do not decay into
 subnormals.
+
+A batch of B views takes the learning rate times sqrt(B) and beta^B, so that the mean of its
+gradients moves parameters about as B steps of one view do (Malladi et al. 2022; Grendel-GS, which
+trains with these two rules).
 ``clgs.train.step.numpy_adam`` is the same update in NumPy, equal to the bit if division and roots
 are correctly rounded.
 """
@@ -19,6 +23,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
@@ -29,8 +34,6 @@ Array = TypeVar("Array", bound=Shaped)
 Other = TypeVar("Other", bound=Shaped)
 Item = TypeVar("Item")
 
-BETA1 = 0.9
-BETA2 = 0.999
 EPSILON = 1e-15
 MIN_FIRST_MOMENT = 1e-30
 MIN_SECOND_MOMENT = 1e-36
@@ -94,18 +97,35 @@ class Trained:
 
 
 @dataclass(frozen=True)
+class Betas:
+    """The shares of the two moments that an update keeps."""
+
+    first: float = 0.9
+    second: float = 0.999
+
+    def of_batch(self, views: int) -> Betas:
+        """The betas of a batch: an update forgets as much as that many updates do."""
+        return Betas(self.first**views, self.second**views)
+
+
+BETAS = Betas()
+
+
+@dataclass(frozen=True)
 class StepFactors:
     """What changes from step to step: ``correction`` of the root, and the ``step`` length."""
 
     correction: float
     step: float
+    betas: Betas = BETAS
 
 
-def factors(learning_rate: float, count: int) -> StepFactors:
+def factors(learning_rate: float, count: int, betas: Betas = BETAS) -> StepFactors:
     """Bias-corrected factors of update number ``count``, which starts at 1; double precision."""
     return StepFactors(
-        correction=(1.0 - BETA2**count) ** -0.5,
-        step=learning_rate / (1.0 - BETA1**count),
+        correction=(1.0 - betas.second**count) ** -0.5,
+        step=learning_rate / (1.0 - betas.first**count),
+        betas=betas,
     )
 
 
@@ -168,11 +188,13 @@ def step(device: Device, updates: Sequence[Update], stop: DeviceArray) -> None:
     ``stop`` (1,) int32: unless it holds 0 nothing changes.
 
     Raises:
-        ValueError: sizes or dtypes differ.
+        ValueError: sizes or dtypes differ, or the updates have not all the same betas.
     """
     kernel = device.kernel("adam/adam", "adam_step", **_DEFINES)
     for one in updates:
         one.trained.check()
+        if one.now.betas != updates[0].now.betas:
+            raise ValueError(f"betas: {one.now.betas} and {updates[0].now.betas} in one step")
     for some in _batches(updates, UPDATED_PARTS):
         starts, sizes = np.zeros((2, PARTS_WIDTH), np.uint32)
         corrections, steps = np.zeros((2, PARTS_WIDTH), np.float32)
@@ -189,7 +211,7 @@ def step(device: Device, updates: Sequence[Update], stop: DeviceArray) -> None:
             **tensors,
             starts=starts,
             sizes=sizes,
-            betas=_BETAS,
+            betas=_packed(updates[0].now.betas),
             corrections=corrections,
             epsilon=np.float32(EPSILON),
             steps=steps,
@@ -226,7 +248,7 @@ def step_rows(
         *by_items(-(-parameter.size // device.vec)),
         **trained.arguments(),
         total=np.uint32(parameter.size),
-        betas=_BETAS,
+        betas=_packed(factors_now.betas),
         correction=np.float32(factors_now.correction),
         epsilon=np.float32(EPSILON),
         step=np.float32(factors_now.step),
@@ -242,4 +264,8 @@ _DEFINES = {
     "ELEMENTS_PER_ITEM": ELEMENTS_PER_ITEM,
 }
 
-_BETAS = np.array([BETA1, 1.0 - BETA1, BETA2, 1.0 - BETA2], np.float32)
+
+def _packed(betas: Betas) -> npt.NDArray[np.float32]:
+    """What kernels take: each share that is kept, and what is left of 1."""
+    kept = betas.first, 1.0 - betas.first, betas.second, 1.0 - betas.second
+    return np.array(kept, np.float32)

@@ -17,7 +17,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from clgs.constants import K_OFFSETS, OUTPUT_DIM
+from clgs.constants import K_OFFSETS
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.opencl.grid import by_items
@@ -61,7 +61,8 @@ DeviceStatistics = Statistics[DeviceArray]
 class SeenView:
     """What one view of ``size`` (width, height) pixels showed: V anchors and N Gaussians.
 
-    output (110, Vp) float32, Vp >= V, feature-major MLP outputs; rows [0, 10) are opacities.
+    output (at least 10, Vp) float32, Vp >= V, feature-major MLP outputs; rows [0, 10) are
+    opacities.
     visible (V,) int32, anchor of every column, each at most once; -1 is none.
     slot (N,) int32 = index in visible * K + offset, each at most once, or -1 if the extent is 0;
     extent (N, 2) float32, drawn if positive; d_mean2d (N, 2) float32 per pixel.
@@ -103,13 +104,14 @@ def accumulate(
     shapes.check("visits", statistics.visits, "A", np.int32)
     shapes.check("gradient_sum", statistics.gradient_sum, "A K", np.float32)
     shapes.check("gradient_count", statistics.gradient_count, "A K", np.int32)
-    shapes.check("output", seen.output, f"{OUTPUT_DIM} Vp", np.float32)
+    shapes.check("output", seen.output, "rows Vp", np.float32)
     shapes.check("visible", seen.visible, "V", np.int32)
     shapes.check("slot", seen.slot, "N", np.int32)
     shapes.check("extent", seen.extent, "N 2", np.float32)
     shapes.check("d_mean2d", seen.d_mean2d, "N 2", np.float32)
-    if shapes.axes["Vp"] < shapes.axes["V"]:
-        raise ValueError(f"output: {shapes.axes['Vp']} columns, {shapes.axes['V']} are visible")
+    if shapes.axes["rows"] < K_OFFSETS or shapes.axes["Vp"] < shapes.axes["V"]:
+        shape = seen.output.shape
+        raise ValueError(f"output: shape is {shape}, {shapes.axes['V']} anchors are visible")
     visible_count, count, padded = shapes.axes["V"], shapes.axes["N"], shapes.axes["Vp"]
     stop = stop or device.zeros((1,), np.int32)
     device.run(

@@ -15,15 +15,16 @@ def step(
     learning_rate: float,
     count: int,
     moved: npt.NDArray[np.bool_] | bool = True,
+    betas: tuple[float, float] = (0.9, 0.999),
 ) -> tuple[Array, tuple[Array, Array]]:
     """The parameter and its moments after update number ``count`` (from 1).
 
-    Elements that are not ``moved`` keep all three.
+    Elements that are not ``moved`` keep all three. ``betas``: what the moments keep of themselves.
     """
-    first = 0.9 * moments[0] + 0.1 * gradient
-    second = 0.999 * moments[1] + 0.001 * gradient**2
-    mean = first / (1 - 0.9**count)
-    deviation = np.sqrt(second / (1 - 0.999**count))
+    first = betas[0] * moments[0] + (1 - betas[0]) * gradient
+    second = betas[1] * moments[1] + (1 - betas[1]) * gradient**2
+    mean = first / (1 - betas[0] ** count)
+    deviation = np.sqrt(second / (1 - betas[1] ** count))
     stepped = parameter - learning_rate * mean / (deviation + 1e-15)
     kept = np.where(moved, first, moments[0]), np.where(moved, second, moments[1])
     return np.where(moved, stepped, parameter), kept

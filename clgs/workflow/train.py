@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -13,6 +14,7 @@ from clgs.exports.run_report import write_run_report
 from clgs.files import check_folder, write_json
 from clgs.memory import return_freed_memory
 from clgs.opencl.device import Device
+from clgs.opencl.together import open_devices
 from clgs.train.config import TrainConfig
 from clgs.train.run.load import load_for
 from clgs.train.run.run_folder import (
@@ -52,6 +54,7 @@ def train(
     *,
     start: Path | None = None,
     device: str | None = None,
+    devices: Sequence[str] = (),
     resume: bool = False,
     overwrite: bool = False,
     profile: bool = False,
@@ -66,6 +69,7 @@ def train(
         config: settings, not yet resolved for the data set.
         start: folder of a finished run to go on from, whose steps count.
         device: number or part of the name.
+        devices: several in its place, each of which looks at a view of every step.
         resume: go on with the run in ``folder``; a finished one is read and not changed.
         overwrite: replace the run in ``folder``.
         profile: measure the time of every stage, which makes training slower.
@@ -75,7 +79,7 @@ def train(
     Raises:
         DataError: the data set is missing or damaged, or another process works in ``folder``.
         ExistsError: ``folder`` holds a run that is not this one.
-        UsageError: ``folder`` cannot be a run folder.
+        UsageError: ``folder`` cannot be a run folder, or the devices cannot work together.
         BudgetError: the memory budget is too small for some view.
     """
     return_freed_memory()
@@ -88,17 +92,17 @@ def train(
     check_run_folder(folder, resume, overwrite)
     if resume:
         check_same_data(folder, data)
-    opened = Device(device)
+    opened, *others = open_devices(devices) if devices else [Device(device)]
     opened.profile.enabled = profile
     points = folder if start is None else start  # that run has triangulated some already
     dataset = load_for(config, data, points, lambda line: on_event(Note(line)))
     if start is not None:
         dataset = repose(dataset, finished_settings(start)[0].scene.transform)
-    config = config.for_dataset(dataset.kind)
+    config = config.for_dataset(dataset.kind).for_devices(len(devices))
     if resume and (finished := finished_run(folder, dataset, config)):
         return TrainedRun(finished, config.steps, was_finished=True)
     first = None if start is None else partial(state_of_run, opened, dataset, folder=start)
-    session = Session(dataset, folder, config, opened, resume, first)
+    session = Session(dataset, folder, config, opened, resume, first, others)
 
     def report(progress: Progress) -> None:
         on_event(TrainingProgress(progress, config.steps))

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from clgs.cli.main import main
-from clgs.opencl.choose import choose_device, list_devices
+from clgs.opencl.choose import choose_device, form_of, kind_of, list_devices
 
 
 @pytest.fixture(autouse=True)
@@ -23,6 +23,21 @@ def test_json_describes_every_device(capsys):
     assert [device["memory"] for device in devices] == [d.global_mem_size for d in expected]
     (chosen,) = [device for device in devices if device["chosen"]]
     assert expected[chosen["index"]] == choose_device()
+    assert [one["kind"] for one in devices] == [kind_of(d, form_of(d)) for d in expected]
+
+
+@pytest.mark.parametrize("form", ["cpu", "gpu"])
+def test_devices_of_a_kind_have_the_same_letter(capsys, monkeypatch, form):
+    monkeypatch.setenv("CLGS_SPECIALISATION", form)
+    assert main(["devices", "--json"]) == 0
+    kinds = [one["kind"] for one in json.loads(capsys.readouterr().out)]
+    assert all(f", {form} kernels" in kind for kind in kinds)
+    assert main(["devices"]) == 0
+    heading, *rows = capsys.readouterr().out.splitlines()
+    assert heading.split()[-1] == "together"
+    letters = [row.split()[-1] for row in rows]
+    assert letters[0] == "A"
+    assert len(set(zip(kinds, letters, strict=True))) == len(set(kinds)) == len(set(letters))
 
 
 def test_the_table_has_a_row_a_device_and_one_star(capsys):

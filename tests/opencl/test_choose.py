@@ -22,6 +22,7 @@ class FakeDevice:
     host_unified_memory: bool = False
     max_work_group_size: int = 4096
     local_mem_size: int = 1 << 20
+    single_fp_config: int = cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT
 
 
 @dataclass(eq=False)
@@ -238,3 +239,20 @@ def test_a_cpu_that_compiles_vectors_comes_first(machine):
     pocl = "Portable Computing Language"
     machine(FakePlatform(pocl, [old]), FakePlatform(pocl, [new]))
     assert choose.choose_device() is new
+
+
+def test_a_kind_is_what_bits_depend_on():
+    """Models differ only where division is not rounded as IEEE 754 asks."""
+    rough = {"type": cl.device_type.GPU, "single_fp_config": 0}
+    a, b, x, y = (
+        FakeDevice("a"),
+        FakeDevice("b"),
+        FakeDevice("x", **rough),
+        FakeDevice("y", **rough),
+    )
+    FakePlatform("One", [a, b, x, y])
+    other = FakeDevice("a")
+    FakePlatform("Two", [other])
+    assert choose.kind_of(a, "cpu") == choose.kind_of(b, "cpu")
+    kinds = [choose.kind_of(each, "gpu") for each in (a, x, y, other)]
+    assert len({*kinds, choose.kind_of(a, "cpu")}) == 5

@@ -20,14 +20,16 @@ def gradients(rng, steps, size):
         yield g.astype(np.float32)
 
 
-def test_equals_numpy_to_the_bit(device, rng):
+@pytest.mark.parametrize("views", [1, 4])
+def test_equals_numpy_to_the_bit(device, rng, views):
+    betas = adam.BETAS.of_batch(views)
     parameter = rng.normal(size=1003).astype(np.float32)
     on_device, stop = device.upload(parameter), adam.stop_flag(device)
     moments = adam.zero_moments(device, on_device)
     state = HostTensors(parameter, *np.zeros((2, 1003), np.float32))
     for count, g in enumerate(gradients(rng, 60, 1003), start=1):
         rate = 0.01 * 0.99**count
-        now = adam.factors(rate, count)
+        now = adam.factors(rate, count, betas)
         update(state, g, now)
         adam.step(
             device, [adam.Update(adam.Trained(on_device, device.upload(g), moments), now)], stop
@@ -39,7 +41,9 @@ def test_equals_numpy_to_the_bit(device, rng):
 
 
 @pytest.mark.family("N34")
-def test_follows_float64(device, rng):
+@pytest.mark.parametrize("views", [1, 4])
+def test_follows_float64(device, rng, views):
+    betas = 0.9**views, 0.999**views
     start = rng.normal(size=500)
     wide, moments64 = start.copy(), (np.zeros(500), np.zeros(500))
     on_device, stop = device.upload(start.astype(np.float32)), adam.stop_flag(device)
@@ -47,8 +51,10 @@ def test_follows_float64(device, rng):
     size = 10.0 ** rng.uniform(-12, 5, 500)
     for count in range(1, 301):
         g = (rng.normal(size=500) * size).astype(np.float32)
-        wide, moments64 = reference.step(wide, g.astype(np.float64), moments64, 1e-3, count)
-        now = adam.factors(1e-3, count)
+        wide, moments64 = reference.step(
+            wide, g.astype(np.float64), moments64, 1e-3, count, betas=betas
+        )
+        now = adam.factors(1e-3, count, adam.Betas(*betas))
         adam.step(
             device, [adam.Update(adam.Trained(on_device, device.upload(g), moments), now)], stop
         )
@@ -219,3 +225,11 @@ def test_each_of_many_arrays_is_checked(device, bad):
     stop = adam.stop_flag(device)
     adam.check_finite(device, [device.upload(one) for one in arrays], stop)
     assert device.download(stop)[0] == (adam.NOT_FINITE if arrays[bad].size else 0)
+
+
+def test_updates_of_a_step_share_their_betas(device):
+    zero, stop = device.zeros((3,)), adam.stop_flag(device)
+    trained = adam.Trained(zero, zero, adam.zero_moments(device, zero))
+    now = [adam.factors(0.1, 1, adam.BETAS.of_batch(views)) for views in (1, 2)]
+    with pytest.raises(ValueError, match="betas"):
+        adam.step(device, [adam.Update(trained, one) for one in now], stop)

@@ -39,7 +39,16 @@ def register(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("data", type=Path, metavar="DATA", help="Blender, transforms.json or COLMAP folder")
     add("-o", "--output", type=named_path, required=True, metavar="RUN", help="run folder")
-    add_device_name(parser)
+    where = parser.add_mutually_exclusive_group()
+    add_device_name(where)
+    where.add_argument(
+        "--devices",
+        type=lambda names: names.split(","),
+        default=[],
+        metavar="A,B",
+        help="several in its place that compute the same bits, see `clgs devices`: each looks at a "
+        "view of every step, see --batch; the same one twice trains the same scene",
+    )
     add(
         "--from",
         dest="start",
@@ -93,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("--tensorboard: is not installed; pip install 'clgs[tensorboard]'")
     events = EventLog(args.output / "tensorboard") if args.tensorboard else None
     display = Display()
-    options = chosen(vars(args), "start", "device", "resume", "overwrite", "profile")
+    options = chosen(vars(args), "start", "device", "devices", "resume", "overwrite", "profile")
     options["command"] = args.command_line.replace(" --resume", "")  # it would change nothing
 
     def follow(event: Event) -> None:
@@ -117,6 +126,7 @@ def run_blocks(args: argparse.Namespace, config: TrainConfig) -> int:
 
     for name, flag in (
         ("start", "--from"),
+        ("devices", "--devices"),
         ("profile", "--profile"),
         ("tensorboard", "--tensorboard"),
     ):

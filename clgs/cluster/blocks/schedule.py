@@ -33,6 +33,8 @@ def check_settings(config: TrainConfig) -> None:
         raise UsageError("--box: each block has a box of its own; leave out --box or --blocks")
     if config.exposure:
         raise UsageError("--exposure: a photo would have one in each block; leave out one of both")
+    if config.batch > 1:
+        raise UsageError("--batch: blocks are trained side by side; leave out --batch or --blocks")
     if config.adam == "visible":
         raise UsageError("--adam visible: blocks learn by adam = dense; leave it or --blocks out")
 

@@ -18,6 +18,9 @@ MAX_PIXELS = 65536
 MAX_SAMPLES = 20_000_000
 """No device of today has memory for more anchors."""
 
+MOST_VIEWS = 1024
+"""No step looks at more: it would hardly learn faster."""
+
 LEAST_ANCHORS = 4
 """Fewer have no three neighbours, whose distance sets the first scale."""
 
@@ -35,10 +38,20 @@ class RunSettings:
     )
     steps: int = option(
         FULL_STEPS,
-        "training steps, one view each (paper); another number than the preset's also moves, in "
-        "proportion, the settings that say so",
+        "training steps, one view each (paper) unless there is a batch; another number than the "
+        "preset's also moves, in proportion, the settings that say so",
         at_least(1),
         unit="steps",
+    )
+    batch: int = option(
+        1,
+        "views that a step looks at; their mean gradient moves the scene, at learning rates times "
+        "the root of the batch (gsplat, Grendel-GS). Growth keeps its pace by views; steps stay as "
+        "many as --steps says: for about the same training, divide them by the batch",
+        Range(1, MOST_VIEWS),
+        unit="views",
+        open_default="1, or one for each of --devices",
+        later=True,
     )
     seed: int = option(
         0,

@@ -246,6 +246,19 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
             **fine,
         )
 
+    def for_devices(self, count: int) -> TrainConfig:
+        """The same run with at least a view per step for each of ``count`` devices.
+
+        Raises:
+            UsageError: a batch was asked for that is smaller than that.
+        """
+        if 1 < self.batch < count:
+            raise UsageError(
+                f"batch: {self.batch} views per step leave some of {count} devices without one; "
+                f"give {count} or more, or fewer devices"
+            )
+        return replace(self, batch=max(self.batch, count))
+
     def scaled(self, steps: int) -> TrainConfig:
         """The same run squeezed or stretched to ``steps`` steps.
 

@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
+from clgs.constants import K_OFFSETS
 from clgs.errors import ClgsError
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
@@ -31,33 +32,27 @@ Positions = npt.NDArray[np.float32]
 """A copy of the positions (A, 3) on the host, NaN for hidden anchors."""
 
 
-def observe(
-    device: Device,
-    config: TrainConfig,
-    parameters: Parameters,
-    frame: Frame,
-    gradients: SceneGradients,
-    step: int,
-    stop: DeviceArray,
-) -> None:
-    """Add step number ``step`` to the statistics, if they are taken then and ``stop`` is 0."""
-    if not config.statistics_start < step < config.growth_end:
-        return
-    seen = density.SeenView(
-        output=frame.activations.output,
+def observes(config: TrainConfig, step: int) -> bool:
+    """Whether statistics are taken in step number ``step``."""
+    return config.statistics_start < step < config.growth_end
+
+
+def seen_view(frame: Frame, gradients: SceneGradients) -> density.SeenView:
+    """What the statistics take of a rendered view."""
+    return density.SeenView(
+        output=frame.activations.output.first(K_OFFSETS),
         visible=frame.activations.visible,
         slot=frame.gaussians.slot,
         extent=frame.projected.extent,
         d_mean2d=gradients.d_mean2d,
         size=frame.view.size,
     )
-    density.accumulate(device, parameters.statistics, seen, stop)
 
 
 def replaces_anchors(config: TrainConfig, step: int) -> bool:
     """Whether the anchors change at the end of step number ``step``."""
     in_window = max(config.statistics_start, config.growth_start) < step < config.growth_end
-    return in_window and step % config.growth_interval == 0
+    return in_window and step % max(1, config.growth_interval // config.batch) == 0
 
 
 def replace_anchors(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -19,6 +19,7 @@ from clgs.exports.image import PictureFolder
 from clgs.files import atomic_write, make_folder, write_json
 from clgs.memory import peak_memory
 from clgs.opencl.device import Device
+from clgs.opencl.together import check_together
 from clgs.render.renderer import Renderer
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import save_scene
@@ -71,13 +72,16 @@ class Session:
         device: Device,
         resume: bool,
         first: Callable[[TrainConfig], RunState] | None = None,
+        others: Sequence[Device] = (),
     ) -> None:
         """Prepare a new run, in place of one in ``folder``, or the continuation of one.
 
         ``first``: gives the state that a new run begins with, for its settings; without it the run
-        begins with the points of ``dataset``.
+        begins with the points of ``dataset``. ``others``: devices that look at views of a batch
+        next to ``device``, which has the state of the run.
 
         Raises:
+            UsageError: a batch has more views than there are training photos.
             DataError: there is nothing to train on, the checkpoints are of another run, or another
                 process trains into ``folder``.
             BudgetError: the memory budget is too small for some view; nothing is written then.
@@ -86,13 +90,14 @@ class Session:
             raise DataError("the dataset has no training views; check the folder of images")
         config = replace(settings_for(dataset, config), points=dataset.points_file)
         self.folder, self.config, self.device = folder, config, device
+        self._names = [each.name for each in (device, *others)]
         self.dataset = dataset
         lock = FolderLock(folder) if folder.is_dir() else None
         goes_on = resume and bool(checkpoints(folder / "checkpoint"))
         state = None
         if first is not None and not goes_on:
             state = first(config)
-        self.trainer = Trainer(device, dataset, config, state=state)
+        self.trainer = Trainer(device, dataset, config, state=state, others=others)
         if goes_on:
             self.trainer.resume(folder / "checkpoint")
         self.keeper = Keeper(folder, self.trainer)
@@ -215,7 +220,8 @@ class Session:
             "train_seconds": self.log.seconds,
             "seconds_per_step": self.log.seconds / max(1, config.steps),
             "peak_memory_bytes": peak_memory(),
-            "device": device.name,
+            "device": ", ".join(self._names),
+            "batch": config.batch,
             "skipped_images": dataset.skipped,
             "digest": run_digest(dataset, config),
             "merged_anchors": self.trainer.state.merged,
@@ -246,6 +252,7 @@ def train_scene(
     config: TrainConfig | None = None,
     *,
     device: Device | None = None,
+    devices: Sequence[Device] = (),
     start: str | Path | None = None,
     resume: bool = False,
     overwrite: bool = False,
@@ -259,6 +266,8 @@ def train_scene(
         folder: run folder, made if it is missing.
         config: default ``TrainConfig()`` resolved for the dataset.
         device: default: chosen as ``clgs devices`` shows.
+        devices: several in its place, of one kind; each looks at a view of every step, or at more
+            if ``config.batch`` says so. One may be there twice: the result is the same.
         start: folder of a finished run to go on from, whose steps count.
         resume: continue from the folder's checkpoint if it has one; a run that is finished is
             read, and nothing is changed.
@@ -268,20 +277,24 @@ def train_scene(
     Raises:
         DataError: nothing to train on, or the folder holds another run.
         ExistsError: it holds a run, which is neither to be resumed nor overwritten; a DataError.
-        UsageError: ``folder`` is empty, or ``resume`` and ``overwrite`` contradict each other.
+        UsageError: ``folder`` is empty, ``resume`` and ``overwrite`` contradict each other, the
+            devices are of different kinds, or more than there are training photos.
         BudgetError: the memory budget is too small for some view.
         NonFiniteLossError: the loss is not finite; names step and view.
         TypeError: ``dataset`` or ``config`` is of another class.
     """
     check_type("dataset", dataset, Dataset, "clgs.load_dataset(folder) reads one")
     check_type("config", config or TrainConfig(), TrainConfig, "clgs.preset(name) makes one")
-    if device is not None:
-        check_type("device", device, Device, "clgs.Device() opens one")
+    for each in devices if device is None else (device, *devices):
+        check_type("device", each, Device, "clgs.Device() opens one")
+    if device is not None and devices:
+        raise UsageError("device, devices: name one of both")
+    check_together(devices)
     as_path("folder", folder)
     if not str(folder).strip():
         raise UsageError("folder: the name is empty; name the run folder")
     check_run_folder(Path(folder), resume, overwrite)
-    resolved = (config or TrainConfig()).for_dataset(dataset.kind)
+    resolved = (config or TrainConfig()).for_dataset(dataset.kind).for_devices(len(devices))
     dataset = with_points(dataset, resolved, Path(folder))
     origin = None if start is None else Path(start)
     if origin is not None:
@@ -289,7 +302,7 @@ def train_scene(
     finished = finished_run(Path(folder), dataset, resolved) if resume else None
     if finished is not None:
         return finished
-    device = device or Device()
+    device, *others = devices or [device or Device()]
     first = None if origin is None else partial(state_of_run, device, dataset, folder=origin)
-    session = Session(dataset, Path(folder), resolved, device, resume, first)
+    session = Session(dataset, Path(folder), resolved, device, resume, first, others)
     return session.run(on_progress)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
@@ -13,7 +13,7 @@ import numpy as np
 from clgs.codec.scene_encoder import sort_anchors
 from clgs.data.dataset import Dataset
 from clgs.data.view import View
-from clgs.errors import BudgetError, ClgsError
+from clgs.errors import BudgetError, ClgsError, UsageError
 from clgs.opencl.device import Device
 from clgs.options import RenderOptions
 from clgs.render.frame import EXACT_ROOM, Frame
@@ -37,6 +37,7 @@ from clgs.train.state.parameters import Parameters
 from clgs.train.state.resume import changed_settings, load_state, save_state
 from clgs.train.state.rounding import Rounding
 from clgs.train.state.run_state import RunState, render_settings
+from clgs.train.step.look import ViewInput
 from clgs.train.step.queue import Enqueued, StepInput, StepQueue
 
 PHOTOS_AHEAD = 2
@@ -56,6 +57,7 @@ class NonFiniteLossError(ClgsError):
 class StepResult:
     """What one step reports: loss value, its parts, the view trained on, anchors afterwards.
 
+    Of a batch, the loss is the mean, and ``view`` names all views, with commas between.
     ``rate_bits`` is bits per anchor if the rate proxy ran, else None.
     """
 
@@ -78,6 +80,7 @@ class Trainer:
         config: TrainConfig,
         ahead: bool = True,
         state: RunState | None = None,
+        others: Sequence[Device] = (),
     ) -> None:
         """Start from the dataset's points, or continue from ``state``.
 
@@ -89,11 +92,21 @@ class Trainer:
                 results have the same bits either way.
             state: of a run on this data set, or of a trained scene, see
                 :func:`clgs.train.run.start.state_of_scene`.
+            others: further devices, of the kind of ``device``, that look at views of a batch. The
+                results have the same bits with any of them or none.
+
+        Raises:
+            UsageError: a batch has more views than there are training photos.
         """
+        if config.batch > len(dataset.train):
+            raise UsageError(
+                f"batch: {config.batch} views per step, but there are {len(dataset.train)} "
+                "training photos; give fewer devices, or a smaller batch"
+            )
         self.device, self.dataset, self.config = device, dataset, config
         self.state = state or first_state(device, dataset, config)
         self.rounding = Rounding(device, config)
-        self.queue = StepQueue(device, dataset, config, self.rounding)
+        self.queue = StepQueue(device, dataset, config, self.rounding, others)
         self.economy = Economy(device, dataset, config, self.rounding)
         self.rounds: list[Round] = []
         self._ahead = ahead
@@ -165,7 +178,7 @@ class Trainer:
             while self._under_way and self._must_settle(begun + 1):
                 yield self._settle()
             self._begin(begun + 1)
-            while len(self._under_way) > int(self._ahead):
+            while len(self._under_way) > int(self._ahead and not self.queue.waits):
                 yield self._settle()
         while self._under_way:
             yield self._settle()
@@ -192,10 +205,10 @@ class Trainer:
         given = self.queue.next_input(state, step)
         try:
             self._under_way.append(self.queue.enqueue(given, state))
-            self.queue.prepare(state.views.upcoming(PHOTOS_AHEAD), step + 1)
+            self.queue.prepare(state.views.upcoming(PHOTOS_AHEAD * config.batch), step + 1)
         except BudgetError as error:
-            name = self.dataset.train[given.index].name
-            raise BudgetError(f"step {step}, view {name}: {error}", error.needed) from error
+            names = self._names(given)
+            raise BudgetError(f"step {step}, view {names}: {error}", error.needed) from error
 
     def _settle(self) -> StepResult:
         """Wait for the oldest step under way; repeat it if it lacked room."""
@@ -215,10 +228,10 @@ class Trainer:
             )
         if self._ahead and self.queue.room == EXACT_ROOM:
             self.queue.room = EXACT_ROOM.grown(settled.needed())
-        state.step, value = settled.given.step, settled.loss.get()
+        state.step, value = settled.given.step, settled.loss()
         return StepResult(
             state.step,
-            self.dataset.train[settled.given.index].name,
+            self._names(settled.given),
             value.value,
             value.l1,
             value.ssim,
@@ -246,12 +259,16 @@ class Trainer:
         failed = self._under_way[0]
         self._under_way = []
         self.queue.clear()
-        value = failed.loss.get().value
+        value = failed.loss().value
         what = "a gradient is not finite" if np.isfinite(value) else f"the loss is {value}"
-        name = self.dataset.train[failed.given.index].name
         raise NonFiniteLossError(
-            f"{what} at step {failed.given.step}, view {name}; parameters untouched"
+            f"{what} at step {failed.given.step}, view {self._names(failed.given)}; "
+            "parameters untouched"
         )
+
+    def _names(self, given: StepInput) -> str:
+        """The names of the views of a step."""
+        return ", ".join(self.dataset.train[view.index].name for view in given.views)
 
     def compact(self) -> None:
         """Leave out the rows of anchors that were pruned; no result depends on it."""
@@ -271,8 +288,9 @@ class Trainer:
 
     def render_next(self) -> Frame:
         """What the next step would compare if it saw the first view on black."""
-        given = StepInput(self.state.step + 1, 0, BACKGROUNDS["black"])
-        return self.queue.render(given, self.state)
+        return self.queue.render(
+            self.state.step + 1, ViewInput(0, BACKGROUNDS["black"]), self.state
+        )
 
     def check_budget(self) -> None:
         """Refuse a memory budget that the present anchors already exceed in some view of the data.

@@ -74,11 +74,24 @@ class ViewOrder:
 
     def next(self) -> int:
         """The number of the next view, which is taken."""
-        if self._next == len(self._order):
-            self._order = self._rng.permutation(self._count).tolist()
-            self._next = 0
-        self._next += 1
-        return self._order[self._next - 1]
+        return self.take(1)[0]
+
+    def take(self, count: int) -> list[int]:
+        """The numbers of the next ``count`` views, which are taken; no two are the same.
+
+        A batch that ends in a new epoch begins that one with views that it has not yet.
+        """
+        if count > self._count:
+            raise ValueError(f"count: {count} different views of {self._count}")
+        taken = self._order[self._next : self._next + count]
+        self._next += len(taken)
+        if missing := count - len(taken):
+            order = self._rng.permutation(self._count).tolist()
+            head = [view for view in order if view not in taken][:missing]
+            self._order = head + [view for view in order if view not in head]
+            self._next = missing
+            taken += head
+        return taken
 
     def upcoming(self, count: int) -> list[int]:
         """The numbers of the next ``count`` views, which are not taken; at most one epoch ahead."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
@@ -23,17 +24,26 @@ class ExposureTerm:
         """Learn the exposures of ``photos`` training photos."""
         self._device, self._config = device, config
         self._adam = numpy_adam if config.optimizer == "numpy" else adam
-        self._gradient = device.zeros((photos, 3, 4))
+        self.gradient = device.zeros((photos, 3, 4))
+        """Gradient by the maps, in the rows of the photos that :meth:`backward` was called for."""
         # From the beginning of an epoch on, so that every photo was learned from equally often.
-        self._start = math.ceil(START * config.steps / photos) * photos
+        views = config.steps * config.batch
+        self._start = math.ceil(START * views / photos) * photos
 
-    def learn_at(self, step: int) -> bool:
-        """Whether step number ``step`` (from 1) uses the maps; before, they are identities."""
-        return step > self._start
+    def learn_at(self, step: int, place: int = 0) -> bool:
+        """Whether view ``place`` (from 0) of step number ``step`` (from 1) uses its map.
+
+        Before, maps are identities.
+        """
+        return self._view(step, place) > self._start
+
+    def _view(self, step: int, place: int) -> int:
+        """The number of a view, from 1, of all that are looked at."""
+        return (step - 1) * self._config.batch + place + 1
 
     def backward(
         self,
-        exposures: ExposureMaps,
+        maps: DeviceArray,
         image: DeviceArray,
         d_picture: DeviceArray,
         photo: int,
@@ -41,19 +51,24 @@ class ExposureTerm:
     ) -> DeviceArray:
         """The gradient by the render (3, H, W); ``stop`` is set if the map's is not finite."""
         weight = self._config.exposure_weight
-        arrays = image, d_picture, exposures.maps
-        d_image = exposure.backward(self._device, *arrays, photo, weight, self._gradient)
-        adam.check_finite(self._device, [self._gradient], stop)
+        arrays = image, d_picture, maps
+        d_image = exposure.backward(self._device, *arrays, photo, weight, self.gradient)
+        adam.check_finite(self._device, [self.gradient], stop)
         return d_image
 
-    def learn(self, exposures: ExposureMaps, photo: int, step: int, stop: DeviceArray) -> None:
-        """Update the map of a photo that step number ``step`` trained on, if they learn then."""
-        if not self.learn_at(step):
-            return
-        maps = exposures.maps
-        count = (step - self._start - 1) // len(maps) + 1  # each is seen once in an epoch
+    def learn(
+        self, exposures: ExposureMaps, photos: Sequence[int], step: int, stop: DeviceArray
+    ) -> None:
+        """Update the maps of the photos that step number ``step`` looked at, if they learn then."""
+        maps, updates = exposures.maps, []
         rate = learning_rates(self._config, step, 1.0)["exposure"]
-        trained = adam.Trained(maps, self._gradient, exposures.moments)
-        part = slice(exposure.MAP_SIZE * photo, exposure.MAP_SIZE * (photo + 1))
-        self._adam.step(self._device, [adam.Update(trained, adam.factors(rate, count), part)], stop)
-        exposure.centre(self._device, maps, stop)
+        trained = adam.Trained(maps, self.gradient, exposures.moments)
+        for place, photo in enumerate(photos):
+            if self.learn_at(step, place):
+                seen = self._view(step, place) - self._start
+                count = (seen - 1) // len(maps) + 1  # each is seen once in an epoch
+                part = slice(exposure.MAP_SIZE * photo, exposure.MAP_SIZE * (photo + 1))
+                updates.append(adam.Update(trained, adam.factors(rate, count), part))
+        if updates:
+            self._adam.step(self._device, updates, stop)
+            exposure.centre(self._device, maps, stop)

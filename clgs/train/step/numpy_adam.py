@@ -15,8 +15,6 @@ import numpy.typing as npt
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops.adam import (
-    BETA1,
-    BETA2,
     EPSILON,
     MIN_FIRST_MOMENT,
     MIN_SECOND_MOMENT,
@@ -87,14 +85,15 @@ def update(state: HostTensors, gradient: Array, factors_now: StepFactors) -> Non
     for name, array in (*state._asdict().items(), ("gradient", gradient)):
         if array.shape != shape or array.dtype != np.float32:
             raise ValueError(f"{name}: {array.dtype}{array.shape}, expected float32{shape}")
+    betas = factors_now.betas
     first, second, scratch = state.first, state.second, np.empty_like(state.first)
-    first *= np.float32(BETA1)
-    np.multiply(gradient, np.float32(1.0 - BETA1), out=scratch)
+    first *= np.float32(betas.first)
+    np.multiply(gradient, np.float32(1.0 - betas.first), out=scratch)
     first += scratch
-    second *= np.float32(BETA2)
+    second *= np.float32(betas.second)
     with np.errstate(under="ignore", over="ignore"):
         np.multiply(gradient, gradient, out=scratch)
-    scratch *= np.float32(1.0 - BETA2)
+    scratch *= np.float32(1.0 - betas.second)
     second += scratch
     # a product with 0 or 1 flushes without a temporary, and keeps a NaN
     np.abs(first, out=scratch)

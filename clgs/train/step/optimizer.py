@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from clgs.constants import HEAD_DIMS
@@ -23,6 +25,7 @@ class Optimizer:
         """``radius`` in scene units scales the learning rate of offsets."""
         self._device, self._config, self._radius = device, config, radius
         self._adam = numpy_adam if config.optimizer == "numpy" else adam
+        self._betas = adam.BETAS.of_batch(config.batch)
         self._box = config.learning_box
         self._inside: tuple[DeviceArray, DeviceArray] | None = None
 
@@ -30,7 +33,7 @@ class Optimizer:
         self,
         parameters: Parameters,
         gradients: SceneGradients,
-        loss: DeviceArray,
+        losses: Sequence[DeviceArray],
         anchors_learn: bool,
         step: int,
         stop: DeviceArray,
@@ -40,9 +43,10 @@ class Optimizer:
 
         The moments were zero after step number ``begun``: Adam corrects for that.
 
-        ``stop`` (1,) int32 is set if a gradient or ``loss``, float32 of any shape, is not finite;
-        unless it holds 0 nothing changes. Without ``anchors_learn`` only the MLPs learn: in steps
-        that replace the anchors, and if these rest. If only those in a box learn, the MLPs rest.
+        ``stop`` (1,) int32 is set if a gradient or one of ``losses``, float32 of any shape, is not
+        finite; unless it holds 0 nothing changes. Without ``anchors_learn`` only the MLPs learn: in
+        steps that replace the anchors, and if these rest. If only those in a box learn, the MLPs
+        rest.
         """
         device = self._device
         rates = learning_rates(self._config, step, self._radius)
@@ -52,7 +56,7 @@ class Optimizer:
         by_name = {name: getattr(gradients, f"d_{name}") for name in names}
         by_rows = [name for name in names if self._config.adam == "visible" and name != "weights"]
         whole = [array for name, array in by_name.items() if name not in by_rows]
-        adam.check_finite(device, [*whole, loss], stop)
+        adam.check_finite(device, [*whole, *losses], stop)
         marks = {name: adam.mark_rows(device, by_name[name], stop) for name in by_rows}
         if self._box is not None:
             inside = self._rows_inside(parameters.scene.anchors.position)
@@ -64,7 +68,7 @@ class Optimizer:
             if name == "weights":  # each MLP has its own learning rate
                 parts = [(head_slice(head), rates[f"mlp_{head}"]) for head in HEAD_DIMS]
             for part, rate in parts:
-                now = adam.factors(rate, step - begun)
+                now = adam.factors(rate, step - begun, self._betas)
                 if name in marks:
                     self._adam.step_rows(device, trained, now, stop, marks[name])
                 else:

@@ -11,6 +11,9 @@ from clgs.train.config import TrainConfig
 COARSE_STAGES = ((0.35, 2),)
 """Coarse to fine: up to this share of the steps, photos are reduced this many times."""
 
+OF_ONE_PHOTO = {"exposure"}
+"""Groups that learn from one view of a batch: its size does not matter to them."""
+
 TIMES_RADIUS = {"offset"}
 """Groups whose learning rate is multiplied by the scene radius."""
 
@@ -20,13 +23,15 @@ def learning_rates(config: TrainConfig, step: int, scene_radius: float) -> dict[
 
     Log-linear from first to last over ``config.learning_rate_steps``, constant afterwards
     (Scaffold-GS). ``step``: from 1; ``scene_radius``: 1.1 times the largest camera distance from
-    the mean camera centre, scene units, which multiplies the groups of TIMES_RADIUS.
+    the mean camera centre, scene units, which multiplies the groups of TIMES_RADIUS. Those of a
+    batch are multiplied by its root (Grendel-GS, gsplat).
     """
     progress = min(max(step / config.learning_rate_steps, 0.0), 1.0)
     rates = {}
     for group in fields(config.learning_rates):
         first, last = getattr(config.learning_rates, group.name)
         rate = log_linear(first, last, progress)
+        rate *= 1.0 if group.name in OF_ONE_PHOTO else math.sqrt(config.batch)
         rates[group.name] = rate * scene_radius if group.name in TIMES_RADIUS else rate
     return rates
 

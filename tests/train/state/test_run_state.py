@@ -82,6 +82,20 @@ def test_every_view_once_an_epoch_in_changing_order():
     assert len({tuple(epoch) for epoch in epochs}) == 5
 
 
+@pytest.mark.parametrize("batch", [1, 2, 3, 7, 20])
+def test_a_batch_has_no_view_twice_and_an_epoch_has_all(batch):
+    views, single = ViewOrder(20, 3), ViewOrder(20, 3)
+    batches = [views.take(batch) for _ in range(60)]
+    assert all(len(set(one)) == batch for one in batches)
+    dealt = [view for one in batches for view in one]
+    for first in range(0, len(dealt) - 19, 20):
+        assert Counter(dealt[first : first + 20]) == Counter(range(20))
+    if 20 % batch == 0:  # epochs end with a batch: the order is that of single views
+        assert dealt == [single.next() for _ in dealt]
+    with pytest.raises(ValueError, match="21 different views of 20"):
+        views.take(21)
+
+
 def test_order_depends_on_the_seed_alone():
     def deal(seed: int) -> list[int]:
         views = ViewOrder(30, seed)

@@ -10,7 +10,7 @@ import pytest
 from clgs.render.frame import Room
 from clgs.train.config import preset
 from clgs.train.run.trainer import NonFiniteLossError, Trainer
-from clgs.train.step import queue
+from clgs.train.step import look
 
 STEPS = 240
 
@@ -86,14 +86,14 @@ def test_a_gradient_that_is_not_finite_is_named(dataset, cpu, monkeypatch):
     one = trainer(cpu, dataset, True)
     list(one.steps(3))
     before = state(one)
-    backward = queue.rasterise_backward
+    backward = look.rasterise_backward
 
     def broken(*arguments):
         gradients = backward(*arguments)
         cpu.write(gradients.d_scaling, np.full(gradients.d_scaling.shape, np.inf, np.float32))
         return gradients
 
-    monkeypatch.setattr(queue, "rasterise_backward", broken)
+    monkeypatch.setattr(look, "rasterise_backward", broken)
     with pytest.raises(NonFiniteLossError, match="a gradient is not finite at step 4, view"):
         list(one.steps(5))
     for mine, theirs in zip(state(one), before, strict=True):

@@ -89,7 +89,7 @@ def test_a_gradient_that_is_not_finite_changes_no_map(cpu, uneven):
     before = state(one)
     stop = cpu.upload(np.ones(1, np.int32))
     term = ExposureTerm(cpu, one.config, len(uneven.train))
-    term.learn(one.state.exposures, 0, STEPS, stop)
+    term.learn(one.state.exposures, [0], STEPS, stop)
     assert state(one) == before
 
 

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from clgs.train.config import LearningRates, TrainConfig, preset
+from clgs.train.density.grow_and_prune import replaces_anchors
 from clgs.train.step.schedule import learning_rates, log_linear
 
 
@@ -31,6 +32,21 @@ def test_rates_at_start_middle_and_end():
     assert end["offset"] == pytest.approx(4e-4)
     assert end["mlp_color"] == pytest.approx(5e-5)
     assert learning_rates(config, 40_000, radius) == end
+
+
+def test_a_batch_multiplies_rates_by_its_root():
+    alone = learning_rates(TrainConfig(), 700, 3.0)
+    of_four = learning_rates(TrainConfig(batch=4), 700, 3.0)
+    exposure = alone.pop("exposure")  # each photo's own, which one view of the batch moves
+    assert of_four.pop("exposure") == exposure
+    assert of_four == pytest.approx({name: 2 * rate for name, rate in alone.items()})
+
+
+def test_growth_keeps_its_pace_by_views():
+    for batch, interval in ((1, 100), (3, 33), (128, 1)):
+        config = TrainConfig(batch=batch)
+        found = [step for step in range(2000, 2400) if replaces_anchors(config, step)]
+        assert found == [step for step in range(2000, 2400) if step % interval == 0]
 
 
 def test_constant_groups_stay_exactly_constant():
