@@ -36,14 +36,14 @@ class ProgressLog:
         atomic_write(path, text_bytes(_text(rows)))
         self._waiting: list[dict[str, Any]] = []
 
-    def write(self, result: StepResult, psnr: float, estimated_bytes: int) -> None:
-        """One row of the regular log."""
+    def write(self, result: StepResult, psnr: float | None, estimated_bytes: int) -> None:
+        """One row of the regular log; ``psnr``: None if no view is measured."""
         self._row(
             step=result.step,
             loss=f"{result.loss:.6f}",
             l1=f"{result.l1:.6f}",
             ssim=f"{result.ssim:.6f}",
-            psnr=f"{psnr:.3f}",
+            psnr="" if psnr is None else f"{psnr:.3f}",
             anchors=result.anchors,
             estimated_bytes=estimated_bytes,
         )

@@ -167,7 +167,7 @@ class Session:
         if result.step in marks and result.step > config.switch_step:
             progress.psnr = self._log_psnr(f"{marks[result.step]} the switch")
         if result.step % config.log_interval == 0 or result.step == config.steps:
-            progress.psnr, state = self.trainer.psnr(self.fixed_views()), self.trainer.state
+            progress.psnr, state = self._psnr(), self.trainer.state
             progress.estimated_bytes = estimated_bytes(
                 self.device, config, state.parameters, state.rate.scales
             )
@@ -176,10 +176,16 @@ class Session:
             self.keeper.try_save()
         return progress
 
-    def _log_psnr(self, moment: str) -> float:
-        psnr = self.trainer.psnr(self.fixed_views())
-        self.log.event(self.trainer.steps_done, f"psnr {moment}", psnr)
+    def _log_psnr(self, moment: str) -> float | None:
+        psnr = self._psnr()
+        if psnr is not None:
+            self.log.event(self.trainer.steps_done, f"psnr {moment}", psnr)
         return psnr
+
+    def _psnr(self) -> float | None:
+        """The PSNR of the fixed views; None if there are none."""
+        views = self.fixed_views()
+        return self.trainer.psnr(views) if views else None
 
     def fixed_views(self) -> list[View]:
         """The training views on which progress is measured, evenly spread."""

@@ -116,6 +116,15 @@ def test_what_cannot_be_trained_on_is_said(dataset, open_device, first, tmp_path
     assert not (tmp_path / "new").exists()
 
 
+def test_progress_without_views_holds_no_psnr(dataset, open_device, tmp_path):
+    few = replace(preset("default").scaled(12), voxel=0.05, log_interval=4, fixed_views=0)
+    seen = []
+    train_scene(dataset, tmp_path / "run", few, device=open_device("cpu"), on_progress=seen.append)
+    assert {one.psnr for one in seen} == {None}
+    for name in ("progress.csv", "results.json"):
+        assert "nan" not in (tmp_path / "run" / name).read_text().lower(), name
+
+
 def test_a_run_is_replaced_only_if_asked_for_and_leaves_no_mixture(dataset, open_device, tmp_path):
     folder, device = tmp_path / "run", open_device("cpu")
     train_scene(dataset, folder, config().scaled(6), device=device)
