@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pyopencl as cl
 import pytest
 
 from clgs.errors import DeviceError, UsageError
@@ -183,3 +184,15 @@ def test_profile_attributes_time_only_while_it_is_on(fresh_device):
     assert 0.0 < milliseconds <= 1e3 * seconds
     fresh_device.profile.clear()
     assert fresh_device.profile.rows() == []
+
+
+def test_devices_share_what_is_built_in_their_context(monkeypatch):
+    one, other = Device(), Device()
+    one.kernel("loss/mask", "mask_apply", UNUSED=77)
+    monkeypatch.setattr(programs.cl, "Program", None)
+    assert other.kernel("loss/mask", "mask_apply", UNUSED=77) is not None
+    elsewhere = programs.Programs(
+        cl.Context([one.cl_device]), one.name, one.specialisation, one.vec, one.exact_division, True
+    )
+    with pytest.raises(TypeError):
+        elsewhere.kernel("loss/mask", "mask_apply", {"UNUSED": 77})
