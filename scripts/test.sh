@@ -78,7 +78,7 @@ test_c() {
     step "C tests under sanitizers"
     command -v "$bin/cmake" >/dev/null || "$python" -m pip install --quiet 'cmake>=3.25' </dev/null
     "$bin/cmake" -S . -B build/c -DCLGS_SANITIZE=ON -DCLGS_WERROR=ON >/dev/null
-    "$bin/cmake" --build build/c --parallel "$(nproc)" >/dev/null
+    "$bin/cmake" --build build/c --parallel "$(nproc)"
     "$bin/ctest" --test-dir build/c --output-on-failure --parallel "$(nproc)"
 }
 
