@@ -26,6 +26,7 @@ from clgs.train.step import look
 from tests.cli.calls import exit_code
 from tests.small_scene import write_scene
 from tests.train.state.test_run_state import arrays_of
+from tests.train.step.test_masks import masked
 
 STEPS = 120
 """Steps of a whole run; anchors grow at step 50 and become integers after step 60."""
@@ -52,6 +53,19 @@ def trained(settings, dataset, devices, steps):
     results = list(trainer.steps(steps))
     state = trainer.state
     return results, arrays_of(first, state), (state.views.record(), state.rng.bit_generator.state)
+
+
+def test_masked_views_on_small_photos_in_groups_have_the_same_bits(dataset, cpu, halves):
+    """The host waits within a look for what groups of tiles need."""
+    mask = np.ones((40, 40), np.uint8)
+    mask[:, :12] = 0
+    changes = {"coarse_to_fine": True, "max_memory": 5, "optimizer": "numpy"}
+    settings, hidden = config(dataset, **changes), masked(dataset, mask)
+    whole = Trainer(cpu, hidden, replace(settings, coarse_to_fine=False))
+    assert whole.render_next().groups is not None
+    wanted = trained(settings, hidden, [cpu], 52)  # photos have their size after step 42
+    assert trained(settings, hidden, halves, 52) == wanted
+    assert trained(settings, dataset, [cpu], 52)[1] != wanted[1]
 
 
 @pytest.mark.parametrize(
@@ -181,7 +195,11 @@ def test_a_killed_run_ends_in_the_same_file_on_other_devices(cpu, halves, tmp_pa
     data = write_scene(tmp_path / "data")
     dataset = load_dataset(data)
     settings = replace(
-        preset("default").scaled(80), voxel=0.02, checkpoint_interval=25, start_points=2000
+        preset("default").scaled(80),
+        voxel=0.02,
+        checkpoint_interval=25,
+        start_points=2000,
+        target_size=17_000,
     )
     code = [sys.executable, "-c", KILLED, str(data), str(tmp_path / "run")]
     killed = subprocess.run([*code, settings.to_toml()], check=False, cwd=Path(__file__).parents[3])
@@ -192,6 +210,7 @@ def test_a_killed_run_ends_in_the_same_file_on_other_devices(cpu, halves, tmp_pa
     legs = train_scene(dataset, tmp_path / "run", settings, device=cpu, resume=True)
     whole = train_scene(dataset, tmp_path / "whole", settings, devices=halves)
     assert legs.bitstream == whole.bitstream
+    assert len(whole.bitstream) <= 17_000
     assert legs.summary["digest"] == whole.summary["digest"]
     assert (legs.summary["batch"], whole.summary["device"].count(", ")) == (2, 1)
     with pytest.raises(DataError, match=r"other settings or photos \(--batch: 2 there, 3 here\)"):
@@ -234,3 +253,6 @@ def test_the_command_trains_on_a_device_named_twice(tmp_path, capsys):
     again = [*base, "-o", str(tmp_path / "twice"), "--devices", "0,0", "--resume"]
     assert exit_code(again) == 0
     assert "is finished already" in capsys.readouterr().out
+    further = ["train", str(data), "--from", str(tmp_path / "twice"), "-o", str(tmp_path / "more")]
+    assert exit_code([*further, "--steps", "14"]) == 0
+    assert re.search(r"^batch = 2$", (tmp_path / "more" / "config.toml").read_text(), re.MULTILINE)
