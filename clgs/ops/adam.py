@@ -257,6 +257,33 @@ def step_rows(
     )
 
 
+def average(
+    device: Device, mean: DeviceArray, parameter: DeviceArray, count: int, stop: DeviceArray
+) -> None:
+    """Take ``parameter`` into ``mean``, of the same size, as number ``count``, from 1, of a mean.
+
+    ``mean`` is zero before the first one. ``stop`` (1,) int32: unless it holds 0 nothing changes.
+
+    Raises:
+        ValueError: sizes or dtypes differ.
+    """
+    for name, array in (("mean", mean), ("parameter", parameter)):
+        if array.size != parameter.size or array.dtype != np.float32:
+            wrong = f"{array.dtype}{array.shape}"
+            raise ValueError(f"{name}: {wrong}, expected float32{parameter.shape}")
+    if not parameter.size:
+        return
+    device.run(
+        device.kernel("adam/adam", "adam_average", **_DEFINES),
+        *by_items(-(-parameter.size // device.vec)),
+        mean=mean,
+        parameter=parameter,
+        total=np.uint32(parameter.size),
+        share=np.float32(1.0 / count),
+        stop=stop,
+    )
+
+
 _DEFINES = {
     "MIN_FIRST_MOMENT": MIN_FIRST_MOMENT,
     "MIN_SECOND_MOMENT": MIN_SECOND_MOMENT,

@@ -28,3 +28,8 @@ def step(
     stepped = parameter - learning_rate * mean / (deviation + 1e-15)
     kept = np.where(moved, first, moments[0]), np.where(moved, second, moments[1])
     return np.where(moved, stepped, parameter), kept
+
+
+def average(parameters: list[Array]) -> Array:
+    """The mean of parameters of one shape."""
+    return np.asarray(np.mean(parameters, axis=0))

@@ -1,7 +1,7 @@
 /* Adam on parameters that live on the device. No fma and no reordering: NumPy in float32 gives the
  * same bits if the device rounds division and square root correctly.
  *
- * adam_step, adam_step_rows: a work-item per vector of VEC elements.
+ * adam_step, adam_step_rows, adam_average: a work-item per vector of VEC elements.
  * adam_check: a work-item per ELEMENTS_PER_ITEM elements.
  * adam_mark: a work-item per row of WIDTH elements.
  * Work-group: any; no local memory. Every part and every array begins with a work-group.
@@ -162,6 +162,19 @@ __kernel void adam_step_rows(__global float *parameter, __global const float *gr
     s.first = marked ? s.first : old.first;
     s.second = marked ? s.second : old.second;
     store_state(&s, parameter, first, second, vector, total);
+}
+
+/* Moves a running mean to the parameters by a share of the way. Nothing happens unless *stop is 0.
+ */
+__kernel void adam_average(__global float *mean, __global const float *parameter, const uint total,
+                           const float share, __global const int *stop)
+{
+    const size_t vector = get_global_id(0);
+    if (vector >= vectors_in(total) || *stop != 0)
+        return;
+    const fv old = load_lanes(mean, vector, total);
+    const fv way = load_lanes(parameter, vector, total) - old;
+    store_lanes(old + way * share, vector, mean, total);
 }
 
 #ifndef ELEMENTS_PER_ITEM

@@ -233,3 +233,23 @@ def test_updates_of_a_step_share_their_betas(device):
     now = [adam.factors(0.1, 1, adam.BETAS.of_batch(views)) for views in (1, 2)]
     with pytest.raises(ValueError, match="betas"):
         adam.step(device, [adam.Update(trained, one) for one in now], stop)
+
+
+@pytest.mark.parametrize("size", [1, 37, 1003])
+def test_a_mean_is_that_of_float64(device, rng, size):
+    given = [rng.normal(5, 1, size).astype(np.float32) for _ in range(400)]
+    mean, stop = device.zeros((size,)), adam.stop_flag(device)
+    adam.average(device, mean, device.upload(given[0]), 1, stop)
+    assert np.array_equal(device.download(mean), given[0])
+    for count, parameter in enumerate(given[1:], start=2):
+        adam.average(device, mean, device.upload(parameter), count, stop)
+    assert_close(device.download(mean), reference.average(given), 1e-5, "mean")
+
+
+def test_a_mean_that_is_stopped_or_does_not_fit_stays(device):
+    mean, parameter = device.zeros((40,)), device.upload(np.ones(40, np.float32))
+    adam.average(device, mean, parameter, 3, device.upload(np.array([1], np.int32)))
+    assert not device.download(mean).any()
+    with pytest.raises(ValueError, match="mean"):
+        adam.average(device, device.zeros((41,)), parameter, 1, adam.stop_flag(device))
+    adam.average(device, device.zeros((0,)), device.zeros((0,)), 1, adam.stop_flag(device))

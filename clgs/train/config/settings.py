@@ -163,6 +163,11 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
         "dense: every anchor moves at every step; visible: those that got a gradient",
         ("dense", "visible"),
     )
+    average: bool = option(
+        True,
+        "end with the mean of the parameters over the steps since the last round of pruning, not "
+        "with the last step's (preset paper: false)",
+    )
     learning_rate_steps: int = option(
         30_000,
         "steps from the first to the last learning rate (code)",

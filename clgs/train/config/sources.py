@@ -49,6 +49,7 @@ def preset(name: str) -> TrainConfig:
             size_lambda=0.0,
             rate_weight=1e-4,
             freeze_step=config.steps,
+            average=False,
             **PAPER_Q,
             mlp="float32",
             learning_rates=PAPER_RATES,

@@ -6,14 +6,14 @@ adds more than is needed, and each costs time.
 At the switch to integers the first round sets the price of a bit, and how many integers there are
 per unit of each attribute. In every round integers become cheaper ones if the loss hardly changes,
 and up to ``prune_end`` anchors go. Anchors gain importance as others go: at most a share of them
-goes in one round, and training repairs the pictures in between. After the last round anchors rest.
+goes in one round, and training repairs the pictures in between and after the last one.
 
 The first round looks at the anchors from all the views that it asks. Later ones ask alternate
 halves of them, and mix what they find with what is known; those that let no anchor go only
 remember.
 
 If a size of the file is asked for, every round looks for the price that would leave that size at
-once, and the last one makes sure that it is met.
+once, and one more, after which anchors rest, makes sure that it is met.
 """
 
 from __future__ import annotations
@@ -115,7 +115,8 @@ class Economy:
         apart = SIZED_ROUND_STEPS if config.target_size else ROUND_STEPS
         rounds = (last - config.switch_step) // apart
         rounds = min(max(rounds, LEAST_ROUNDS), ROUNDS)
-        moments = np.linspace(config.switch_step, last, rounds)
+        ends = config.target_size > 0  # the size must be met; else training repairs what rounds do
+        moments = np.linspace(config.switch_step, last, rounds, endpoint=ends)
         self._lambda = config.size_lambda or 0.0
         usual = default_lambda(dataset.kind, config.steps)
         self._most_loss = MOST_LOSS ** min(max(1.0, self._lambda / usual), NO_LIMIT)

@@ -36,7 +36,8 @@ from clgs.train.state.hashes import run_digest
 from clgs.train.state.parameters import Parameters
 from clgs.train.state.resume import changed_settings, load_state, save_state
 from clgs.train.state.rounding import Rounding
-from clgs.train.state.run_state import RunState, render_settings
+from clgs.train.state.run_state import Means, RunState, render_settings
+from clgs.train.step import averages
 from clgs.train.step.look import ViewInput
 from clgs.train.step.queue import Enqueued, StepInput, StepQueue
 
@@ -186,7 +187,7 @@ class Trainer:
     def _must_settle(self, step: int) -> bool:
         """Whether step number ``step`` begins with other anchors than the one before."""
         return (
-            step == self.config.switch_step + 1
+            step - 1 in (self.config.switch_step, self.config.freeze_step)
             or step - 1 in self.economy.steps
             or replaces_anchors(self.config, step - 1)
         )
@@ -197,11 +198,14 @@ class Trainer:
             self.compact()
         if step == config.switch_step + 1:
             self.align_positions()
+        if step - 1 == config.freeze_step:
+            averages.take(state, step - 1)
         if step - 1 in self.economy.steps:
             try:
                 self.rounds.append(self.economy.round(state, step - 1))
             except BudgetError as error:
                 raise BudgetError(f"after step {step - 1}: {error}", error.needed) from error
+            state.means = Means(step - 1)
         given = self.queue.next_input(state, step)
         try:
             self._under_way.append(self.queue.enqueue(given, state))
@@ -229,6 +233,8 @@ class Trainer:
         if self._ahead and self.queue.room == EXACT_ROOM:
             self.queue.room = EXACT_ROOM.grown(settled.needed())
         state.step, value = settled.given.step, settled.loss()
+        if state.step == self.config.steps:
+            averages.take(state, state.step)
         return StepResult(
             state.step,
             self._names(settled.given),

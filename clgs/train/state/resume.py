@@ -21,7 +21,14 @@ from clgs.train.quality.importance import Sensitivity
 from clgs.train.state import checkpoint
 from clgs.train.state.checkpoint import Arrays
 from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters
-from clgs.train.state.run_state import ExposureMaps, RateState, RateTables, RunState, ViewOrder
+from clgs.train.state.run_state import (
+    ExposureMaps,
+    Means,
+    RateState,
+    RateTables,
+    RunState,
+    ViewOrder,
+)
 
 SETTINGS = "config.toml"
 """The first file of a run."""
@@ -46,8 +53,10 @@ def save_state(folder: Path, device: Device, state: RunState, digest: str) -> No
         arrays["exposure"] = state.exposures.maps
         moments = state.exposures.moments
         arrays |= {f"{which}.exposure": array for which, array in moments.items()}
+    arrays |= {f"mean.{name}": array for name, array in state.means.tensors.items()}
     scalars = {
         "step": state.step,
+        "mean_begin": state.means.begin,
         "merged": state.merged,
         "begun": state.begun,
         "rng": state.rng.bit_generator.state,
@@ -83,6 +92,7 @@ def load_state(folder: Path, device: Device, digest: str, changed: str = "") -> 
         for name, array in arrays.items()
         if name.startswith("first.")
     }
+    means = {n.removeprefix("mean."): a for n, a in arrays.items() if n.startswith("mean.")}
     exposures = None
     if "exposure" in arrays:
         exposures = ExposureMaps(arrays["exposure"], moments.pop("exposure"))
@@ -110,6 +120,7 @@ def load_state(folder: Path, device: Device, digest: str, changed: str = "") -> 
         rng=rng,
         views=ViewOrder.restore(scalars["sampler"]),
         known=known,
+        means=Means(int(scalars.get("mean_begin", 0)), means),
         merged=int(scalars["merged"]),
         step=int(scalars["step"]),
         begun=int(scalars.get("begun", 0)),

@@ -60,6 +60,14 @@ class ExposureMaps:
     moments: adam.DeviceMoments
 
 
+@dataclass
+class Means:
+    """Means of parameters after the steps that follow number ``begin``, by name of the tensor."""
+
+    begin: int = 0
+    tensors: dict[str, DeviceArray] = field(default_factory=dict)
+
+
 class ViewOrder:
     """Deals every view once per epoch, in a new random order each time (paper)."""
 
@@ -125,6 +133,7 @@ class RunState:
 
     rng: what growing and random backgrounds draw from; exposures: None if they are not learned;
     known: what rounds have found out about the anchors, None before the first round at integers;
+    means: which the parameters will take;
     merged: anchors that were merged when positions moved to a coarser grid; begun: the step after
     which all moments of Adam were zero, 0 but for scenes that go on without theirs.
     """
@@ -135,6 +144,7 @@ class RunState:
     rng: np.random.Generator
     views: ViewOrder
     known: Sensitivity | None = None
+    means: Means = field(default_factory=Means)
     merged: int = 0
     step: int = 0
     begun: int = 0

@@ -110,7 +110,14 @@ def test_long_runs_have_more_rounds(cpu, dataset):
     assert counts == [1, *(len(THINNED) + n for n in (LEAST_ROUNDS, 5, ROUNDS))]
 
 
-def test_anchors_rest_after_the_last_round(cpu, dataset):
+@pytest.mark.parametrize("size", [0, 20_000])
+def test_training_repairs_what_rounds_do_unless_a_size_must_be_met(cpu, dataset, size):
+    settings = config(dataset, target_size=size)
+    last = Economy(cpu, dataset, settings, Rounding(cpu, settings)).steps[-1]
+    assert last == settings.freeze_step if size else last <= settings.freeze_step - 18
+
+
+def test_anchors_rest_in_the_end(cpu, dataset):
     trainer = Trainer(cpu, dataset, config(dataset))
     for _ in trainer.steps(trainer.config.freeze_step + 1):
         pass
@@ -165,15 +172,18 @@ def test_growth_stops_at_the_most_anchors(cpu, dataset, untouched):
 
 
 @pytest.mark.parametrize(
-    "moment", ["before anchors go", "before the first round", "after it", "between tables"]
+    "moment",
+    ["before anchors go", "before the first round", "after it", "between tables", "among means"],
 )
 def test_resumes_to_the_bit(cpu, dataset, tmp_path, moment):
     settings = config(dataset)
     after = {"before anchors go": -30, "before the first round": 0, "after it": 1}
+    after["among means"] = settings.freeze_step - settings.switch_step - 5
     done = settings.switch_step + after.get(moment, 7)
     whole = Trainer(cpu, dataset, settings)
     list(whole.steps(done))
     whole.save(tmp_path)
+    assert bool(whole.state.means.tensors) == (moment == "among means")
     other = Trainer(cpu, dataset, settings)
     other.resume(tmp_path)
     for trainer in (whole, other):
