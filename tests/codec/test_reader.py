@@ -190,6 +190,16 @@ def test_damaged_files_are_refused_by_both_decoders_or_read_alike(seed: int, cou
         assert_alike(read_by_clgs, read_by_the_document, damaged_file(rng, cases))
 
 
+def test_every_byte_of_the_directory_is_checked_alike() -> None:
+    data = bytearray(encode(small_scene()))
+    end = 16 + 32 * int.from_bytes(data[12:16], "little")  # its checksum follows
+    for at in range(8, end):
+        one = data.copy()
+        one[at] ^= 1
+        one[end : end + 4] = struct.pack("<I", _codec.crc32c(bytes(one[:end])))
+        assert_alike(read_by_clgs, read_by_the_document, bytes(one))
+
+
 @pytest.mark.parametrize(("seed", "count"), [(0, 60), pytest.param(1, 1000, marks=SLOW)])
 def test_damaged_streams_with_right_checksums_are_refused_or_read_alike(
     seed: int, count: int
