@@ -177,6 +177,7 @@ def test_the_help_of_the_command_holds_the_table():
     extra = {"-h", "--help", "--config", "--set", "--loss-weights"}
     assert set(by_flag) - known - extra == {
         "--no-normalize",
+        "--no-average",
         "--no-coarse-to-fine",
         "--no-exposure",
     }

@@ -24,6 +24,7 @@ from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import (
     adam,
+    batch,
     density,
     exposure,
     growth,
@@ -37,6 +38,7 @@ from clgs.ops import (
 from clgs.ops.general import splats
 from clgs.ops.neural import GaussianGradients
 from clgs.reference import adam as adam_reference
+from clgs.reference import batch as batch_reference
 from clgs.reference import density as density_reference
 from clgs.reference import exposure as exposure_reference
 from clgs.reference import growth as growth_reference
@@ -56,7 +58,7 @@ COUNT, SEED, REPEATS = 20_000, 5, 3
 def training_checks(device: Device, count: int = COUNT) -> Iterator[Check]:
     """Every check, on ``count`` numbers; one that raises has failed."""
     rng = np.random.default_rng(SEED)
-    numbers = check_scan, check_sort, check_quantize, check_rate, check_adam
+    numbers = check_scan, check_sort, check_quantize, check_rate, check_adam, check_means
     pictures = check_exposure, check_mask, check_splats, check_match
     rasteriser = check_views, check_harmonics, check_channels
     for check in (*numbers, check_density, check_growth, *pictures, *rasteriser):
@@ -141,6 +143,25 @@ def check_adam(device: Device, rng: np.random.Generator, count: int) -> Iterator
     error = largest(device.download(uploaded), wanted)
     # ten roundings of values up to 8
     yield "adam", "parameter after 10 steps", error, 10 * 8 * 2.0**-24, lambda: step(11)
+
+
+def check_means(device: Device, rng: np.random.Generator, count: int) -> Iterator[Timed]:
+    """The mean gradient of the views of a batch, and the mean of parameters over steps."""
+    given = rng.normal(size=(3, count)).astype(np.float32)
+    uploaded, wide = [device.upload(one) for one in given], given.astype(np.float64)
+    total, mean = device.upload(given[0]), device.zeros((count,))
+    batch.add(device, total, uploaded[1])
+    batch.add(device, total, uploaded[2], 1.0 / 3.0)
+    error = largest(device.download(total), batch_reference.mean(list(wide)))
+    add = partial(batch.add, device, total, uploaded[1])
+    # a few roundings of values up to 8
+    yield "adam", "mean gradient of 3 views", error, 4 * 8 * 2.0**-24, add
+    stop = adam.stop_flag(device)
+    for number, one in enumerate(uploaded, start=1):
+        adam.average(device, mean, one, number, stop)
+    error = largest(device.download(mean), adam_reference.average(list(wide)))
+    again = partial(adam.average, device, mean, uploaded[0], 4, stop)
+    yield "adam", "mean over 3 steps", error, 6 * 8 * 2.0**-24, again
 
 
 def check_density(device: Device, rng: np.random.Generator, count: int) -> Iterator[Timed]:
