@@ -326,7 +326,12 @@ __kernel void views_backward(__global const float *mean, __global const float *s
     load_rows1(opacity, item, used, &opaque);
     load_rows1(d_compensated, item, used, &d_opaque);
     Sight s = see(mean, shape, rotation, camera, blur, item, used);
-    const iv drawn = box[0] > (fv)(0.0f);
+    iv shown = (d_deep != (fv)(0.0f)) | (d_opaque != (fv)(0.0f)); /* else no zero has a sign */
+    for (int k = 0; k < 3; ++k)
+        shown |= d_factor[k] != (fv)(0.0f);
+    for (int k = 0; k < 2; ++k)
+        shown |= d_centre[k] != (fv)(0.0f);
+    const iv drawn = (box[0] > (fv)(0.0f)) & shown;
     factor_gradient(&s.p, factor, d_factor, d_a, d_b, d_size);
     const fv d_share = COMPENSATED ? d_opaque * opaque * s.share : (fv)(0.0f);
     if (COMPENSATED)
