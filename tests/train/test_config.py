@@ -161,9 +161,8 @@ class Newer(TrainConfig):
 def test_runs_from_before_a_setting_keep_their_digest():
     assert Newer().digest() == TrainConfig().digest()
     assert Newer(more=1).digest() != TrainConfig().digest()
-    assert all(
-        options_of(TrainConfig)[name].later for name in ("masks", "test_every", "fisheye_view")
-    )
+    later = "masks", "test_every", "fisheye_view", "batch", "average"
+    assert all(options_of(TrainConfig)[name].later for name in later)
 
 
 @pytest.mark.parametrize(

@@ -167,6 +167,7 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
         True,
         "end with the mean of the parameters over the steps since the last round of pruning, not "
         "with the last step's (preset paper: false)",
+        later=True,
     )
     learning_rate_steps: int = option(
         30_000,

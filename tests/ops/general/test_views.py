@@ -110,6 +110,28 @@ def test_agrees_with_reference(device, rng, parallel, compensated, by_covariance
         assert relative_l2(device.download(made.d_rotation), d_rotation) < 1e-5
 
 
+@pytest.mark.parametrize("by_covariance", [False, True])
+def test_what_gets_no_gradient_has_zeros_without_a_sign(device, rng, by_covariance):
+    """Compilers may choose the sign of a zero that a formula gives: Mesa's chooses another."""
+    count, (lens, _) = 60, lenses(False, compensated=False)
+    viewmat, intrinsics = matrices(rng)
+    camera = device.upload(views.pack_camera(viewmat, intrinsics, SIZE, lens.near))
+    splats = on_device(device, gaussians(rng, count), by_covariance)
+    none = device.empty((count, 0))
+    found = views.forward(device, splats, camera, lens, none, DEFAULT)
+    assert device.download(found.extent).any()
+    shapes = {"d_mean2d": (count, 2), "d_whitening": (count, 3), "d_depth": (count,)}
+    zeros = {
+        name: device.upload(rng.choice(np.float32([0.0, -0.0]), shape))
+        for name, shape in (shapes | {"d_opacity": (count,)}).items()
+    }
+    given = ChannelGradients(**zeros, d_color=none, d_absolute=None)
+    made = views.backward(device, splats, camera, lens, found, given, want_camera=True)
+    for name, array in vars(made).items():
+        if array is not None:
+            assert not device.download(array).view(np.uint32).any(), name
+
+
 def test_boxes_of_a_reach_do_not_depend_on_the_opacity(device, rng):
     values = gaussians(rng, 700)
     values["opacity"][::3] = 0.001
