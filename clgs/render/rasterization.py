@@ -104,7 +104,7 @@ def rasterization(  # noqa: PLR0913  gsplat's arguments
         rasterize_mode: "classic", or "antialiased": opacities make up for the blur.
         channel_chunk: has no effect: channels are blended by 32 in any case.
         distributed: False.
-        camera_model: "pinhole" or "ortho".
+        camera_model: "pinhole", "ortho" or "fisheye", which is equidistant.
         segmented: has no effect.
         covars: (..., N, 3, 3) float32 in place of quats and scales; upper triangles are read.
         with_ut: False.

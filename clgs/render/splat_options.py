@@ -15,6 +15,7 @@ UNDISTORT = "undistort the photos before"
 GLOBAL = "cameras are global; use None"
 DRAW_AGAIN = "draw them as colors of another call"
 LARGEST = float(np.finfo(np.float32).max)
+MODELS = "pinhole", "ortho", "fisheye"
 FLAGS = ("packed", "absgrad", "segmented")
 
 REFUSED: dict[str, tuple[Any, str]] = {
@@ -34,8 +35,8 @@ REFUSED: dict[str, tuple[Any, str]] = {
 REFUSED_LATER: dict[str, tuple[Any, str]] = {
     "return_normals": (False, DRAW_AGAIN),
     "global_z_order": (True, "Gaussians are sorted by depth; use True"),
-    "rays": (None, "cameras are pinhole or ortho; use None"),
-    "lidar_coeffs": (None, "cameras are pinhole or ortho; use None"),
+    "rays": (None, f"cameras are {', '.join(MODELS)}; use None"),
+    "lidar_coeffs": (None, f"cameras are {', '.join(MODELS)}; use None"),
     "external_distortion_coeffs": (None, UNDISTORT),
     "ut_params": (None, "use None"),
     "extra_signals": (None, DRAW_AGAIN),
@@ -62,16 +63,16 @@ def checked_lens(given: dict[str, Any]) -> Lens:
         if value is not default and (default is None or not _is_flag(value, default)):
             raise NotImplementedError(f"{name}: {value!r} is not offered; {instead}")
     _check_settings(given)
-    if given["camera_model"] not in ("pinhole", "ortho"):
+    if given["camera_model"] not in MODELS:
         model = given["camera_model"]
         raise NotImplementedError(
-            f"camera_model: {model!r} is not offered; {UNDISTORT}, or use 'ortho'"
+            f"camera_model: {model!r} is not offered; {UNDISTORT}, or use one of {MODELS}"
         )
     if given["rasterize_mode"] not in ("classic", "antialiased"):
         mode = given["rasterize_mode"]
         raise ValueError(f"rasterize_mode: {mode!r} is not 'classic' or 'antialiased'")
     return Lens(
-        parallel=given["camera_model"] == "ortho",
+        model=given["camera_model"],
         compensated=given["rasterize_mode"] == "antialiased",
         blur=given["eps2d"],
         near=given["near_plane"],

@@ -95,7 +95,7 @@ def fully_fused_projection(  # noqa: PLR0913  gsplat's arguments
         packed: whether to list only what is drawn.
         sparse_grad: False.
         calc_compensations: whether to return the share of the opacity that the blur leaves.
-        camera_model: "pinhole" or "ortho".
+        camera_model: "pinhole", "ortho" or "fisheye", which is equidistant.
         opacities: (..., N) float32, 0 to 1; boxes end where alpha is below 1/255; if None,
             3.33 standard deviations from the centre.
 

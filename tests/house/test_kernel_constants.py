@@ -31,7 +31,7 @@ VARYING = {
     *("VEC", "USE_LOCAL", "USE_PREFETCH"),  # the form, and the driver
     *("WIDTH", "COEFFICIENTS", "WANT_POSITION", "MIN_EXTENT"),  # of arrays and calls
     *("CHANNELS", "WITH_DEPTH", "WITH_ABSOLUTE", "SH_ROWS", "BARE_SUMS"),
-    *("PARALLEL_RAYS", "BY_COVARIANCE", "COMPENSATED"),
+    *("PARALLEL_RAYS", "FISHEYE", "BY_COVARIANCE", "COMPENSATED"),
     "TILES_AT_ONCE",  # of the width of registers
     "ROWS",  # the same
     *("SSIM_C1", "SSIM_C2", *(f"SSIM_WEIGHT_{tap}" for tap in range(6)), "SKIP_FLAT"),

@@ -18,13 +18,15 @@ def scene(
     cameras: int = 2,
     colors: int = 3,
     sh_degree: int | None = None,
-    parallel: bool = False,
+    model: str = "pinhole",
 ) -> dict[str, Any]:
     """Arguments of ``clgs.rasterization``, by name, of Gaussians in front of the cameras."""
     viewmats = np.tile(np.eye(4), (cameras, 1, 1))
     viewmats[:, :3, :3] += rng.normal(0, 0.05, (cameras, 3, 3))
     viewmats[:, :3, 3] = rng.normal(0, 0.2, (cameras, 3)) + np.array([0, 0, 4.0])
-    focal = 8.0 if parallel else 36.0
+    if model == "fisheye":  # points up to about 70 degrees from the axis
+        viewmats[:, 2, 3] -= 1.9
+    focal = {"pinhole": 36.0, "ortho": 8.0, "fisheye": 14.0}[model]
     intrinsics = np.array([[focal, 0, 17], [0, 1.1 * focal, 14], [0, 0, 1.0]])
     shape = (count, colors) if sh_degree is None else (count, (sh_degree + 1) ** 2, 3)
     values = {
@@ -44,13 +46,13 @@ class Reference:
     """The picture of one camera in float64, and its gradients by the arguments' names."""
 
     def __init__(
-        self, given: dict[str, Any], camera: int, mode: str, antialiased: bool, parallel: bool
+        self, given: dict[str, Any], camera: int, mode: str, antialiased: bool, model: str
     ) -> None:
         wide = {n: v.astype(np.float64) for n, v in given.items() if isinstance(v, np.ndarray)}
         self.given, self.wide, self.mode, self.degree = given, wide, mode, given["sh_degree"]
         self.size = given["width"], given["height"]
         self.packed = pack_camera(wide["viewmats"][camera], wide["Ks"][camera], self.size, 0.01)
-        self.lens = views.Lens(parallel, antialiased)
+        self.lens = views.Lens(model, antialiased)
         self.covars = wide.get("covars")
         if self.covars is None:
             self.covars = views.covariances(wide["scales"], wide["quats"])

@@ -17,17 +17,19 @@ from tests.compare import relative_l2
 from tests.render.splat_scene import Reference, scene
 
 CASES = [
-    # mode, degree, antialiased, parallel, covariances
-    ("RGB", None, False, False, False),
-    ("RGB+ED", 2, True, False, False),
-    ("RGB+D", None, True, True, True),
-    ("ED", 0, False, False, True),
+    # mode, degree, antialiased, camera model, covariances
+    ("RGB", None, False, "pinhole", False),
+    ("RGB+ED", 2, True, "pinhole", False),
+    ("RGB+D", None, True, "ortho", True),
+    ("ED", 0, False, "pinhole", True),
+    ("RGB+D", 1, True, "fisheye", False),
+    ("RGB+ED", None, False, "fisheye", True),
 ]
 
 
-@pytest.mark.parametrize(("mode", "degree", "antialiased", "parallel", "by_covars"), CASES)
-def test_agrees_with_references(device, rng, mode, degree, antialiased, parallel, by_covars):
-    given = scene(rng, sh_degree=degree, parallel=parallel)
+@pytest.mark.parametrize(("mode", "degree", "antialiased", "model", "by_covars"), CASES)
+def test_agrees_with_references(device, rng, mode, degree, antialiased, model, by_covars):
+    given = scene(rng, sh_degree=degree, model=model)
     shown = given["colors"].shape[-1]
     given["backgrounds"] = rng.uniform(0, 1, (2, shown)).astype(np.float32)
     if by_covars:
@@ -37,7 +39,7 @@ def test_agrees_with_references(device, rng, mode, degree, antialiased, parallel
         **given,
         render_mode=mode,
         rasterize_mode="antialiased" if antialiased else "classic",
-        camera_model="ortho" if parallel else "pinhole",
+        camera_model=model,
         absgrad=True,
         device=device,
     )
@@ -46,7 +48,7 @@ def test_agrees_with_references(device, rng, mode, degree, antialiased, parallel
     made = meta["record"].backward(d_image, d_alpha)
     totals = {}
     for camera in range(2):
-        wanted = Reference(given, camera, mode, antialiased, parallel)
+        wanted = Reference(given, camera, mode, antialiased, model)
         assert relative_l2(image[camera], wanted.image) < 1e-5
         assert relative_l2(alpha[camera, ..., 0], wanted.alpha) < 1e-5
         for name, array in wanted.backward(d_image[camera], d_alpha[camera, ..., 0]).items():
@@ -184,7 +186,8 @@ def test_nothing_to_draw(device, rng, count, cameras):
         ({"rasterize_mode": "fast"}, ValueError, "rasterize_mode: 'fast'"),
         ({"tile_size": 8}, NotImplementedError, "tile_size: 8 is not offered"),
         ({"sparse_grad": True}, NotImplementedError, "sparse_grad"),
-        ({"camera_model": "fisheye"}, NotImplementedError, "camera_model: 'fisheye'"),
+        ({"camera_model": "ftheta"}, NotImplementedError, "camera_model: 'ftheta'"),
+        ({"camera_model": "lidar"}, NotImplementedError, "camera_model: 'lidar'"),
         ({"with_ut": True}, NotImplementedError, "with_ut"),
         ({"radial_coeffs": np.zeros(4)}, NotImplementedError, "radial_coeffs"),
         ({"alpha_max": 1.0}, ValueError, "alpha_max"),
@@ -209,9 +212,10 @@ def test_gradients_of_the_wrong_shape(open_device, rng):
         meta["record"].backward(image, image.astype(np.float64))
 
 
-def test_gradients_are_those_of_central_differences(open_device, rng):
+@pytest.mark.parametrize("model", ["pinhole", "fisheye"])
+def test_gradients_are_those_of_central_differences(open_device, rng, model):
     """A sum over a picture in which every pixel sees every Gaussian, along random directions."""
-    given = scene(rng, 6, 1, sh_degree=1)
+    given = scene(rng, 6, 1, sh_degree=1) | {"camera_model": model}
     given["means"] *= np.float32(0.2)
     given["scales"][:] = 1.5, 2.0, 2.5
     given["opacities"] = given["opacities"] * np.float32(0.3) + np.float32(0.2)

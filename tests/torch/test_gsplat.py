@@ -53,10 +53,8 @@ def compare(given, how, rng):
 def random_case(rng, number, channels):
     """Arguments of one of the many combinations."""
     degree = [None, 0, 1, 2, 3, 4][number % 6] if channels == 3 else None
-    model = ("pinhole", "ortho")[number // 2 % 2]
-    given = scene(
-        rng, int(rng.integers(1, 40)), int(rng.integers(1, 4)), channels, degree, model == "ortho"
-    )
+    model = ("pinhole", "ortho", "fisheye")[number // 2 % 3]
+    given = scene(rng, int(rng.integers(1, 40)), int(rng.integers(1, 4)), channels, degree, model)
     if number % 5 == 0:
         shape = (len(given["viewmats"]), channels if degree is None else 3)
         given["backgrounds"] = rng.uniform(0, 1, shape).astype(np.float32)

@@ -26,10 +26,14 @@ def close(found, wanted, limit=1e-4):
 
 @pytest.mark.parametrize(
     ("model", "compensated", "by_covariance", "packed"),
-    list(itertools.product(("pinhole", "ortho"), (False, True), (False, True), (False, True))),
+    list(
+        itertools.product(
+            ("pinhole", "ortho", "fisheye"), (False, True), (False, True), (False, True)
+        )
+    ),
 )
 def test_projection(rng, model, compensated, by_covariance, packed):
-    given = scene(rng, parallel=model == "ortho")
+    given = scene(rng, model=model)
     names = ("means", "quats", "scales", "viewmats", "Ks")
     found = []
     for dtype in (torch.float32, torch.float64):
@@ -176,6 +180,6 @@ def test_what_is_refused(rng):
         ours.rasterize_to_pixels(*splats, *size, offsets, rows, backgrounds=shade[:1])
     given = {n: torch.tensor(v) for n, v in scene(rng).items() if isinstance(v, np.ndarray)}
     arguments = given["means"], None, given["quats"], given["scales"], given["viewmats"]
-    for name, value in (("camera_model", "fisheye"), ("sparse_grad", True)):
+    for name, value in (("camera_model", "ftheta"), ("sparse_grad", True)):
         with pytest.raises(NotImplementedError, match=name):
             ours.fully_fused_projection(*arguments, given["Ks"], *SIZE, **{name: value})

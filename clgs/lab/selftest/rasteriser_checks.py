@@ -26,15 +26,16 @@ UPPER = np.triu_indices(3)
 
 
 def check_views(device: Device, rng: np.random.Generator, count: int) -> Iterator[Timed]:
-    """Gaussians for both kinds of rays and of shapes, and gradients by them and the camera."""
-    for parallel in (False, True):
-        yield from _check_rays(device, rng, count, parallel)
+    """Gaussians for all kinds of rays and of shapes, and gradients by them and the camera."""
+    for model in ("pinhole", "ortho", "fisheye"):
+        yield from _check_rays(device, rng, count, model)
 
 
 def _check_rays(
-    device: Device, rng: np.random.Generator, count: int, parallel: bool
+    device: Device, rng: np.random.Generator, count: int, model: str
 ) -> Iterator[Timed]:
     """Parallel rays with covariances, else scales and quaternions."""
+    parallel = model == "ortho"
     wide = {
         "mean": rng.uniform(-1, 1, (count, 3)),
         "scale": 0.1 * 10 ** rng.uniform(-0.5, 0.5, (count, 3)),
@@ -56,16 +57,16 @@ def _check_rays(
     matrix[2, 3] = 4
     focal = 20.0 if parallel else 80.0
     intrinsics = np.array([[focal, 0, 31], [0, 1.1 * focal, 33], [0, 0, 1]])
-    lens = views.Lens(parallel, compensated=True)
+    lens = views.Lens(model, compensated=True)
     packed = views.pack_camera(matrix, intrinsics, (64, 64), lens.near)
     camera, none = device.upload(packed), device.empty((count, 0))
     forward = partial(views.forward, device, splats, camera, lens, none, DEFAULT)
-    seen, lens64 = forward(), views_reference.Lens(parallel, compensated=True)
+    seen, lens64 = forward(), views_reference.Lens(model, compensated=True)
     given = wide["mean"], covariance, wide["opacity"], packed, lens64
     wanted, opacity = views_reference.forward(*given)
     errors = relative_errors(device, seen, wanted, ("mean2d", "whitening", "depth", "extent"))
     errors["opacity"] = relative_l2(device.download(seen.opacity), opacity)
-    rays = "parallel rays" if parallel else "rays of a pinhole"
+    rays = "parallel rays" if parallel else f"rays of a {model}"
     yield "views", f"what is on the screen, {rays}", max(errors.values()), 1e-5, forward
 
     d = {

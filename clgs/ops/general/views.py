@@ -1,10 +1,10 @@
 """Project Gaussians for any camera, with gradients by Gaussians and camera.
 
 As ``clgs.ops.project``, and more general: shapes are unnormalised quaternions with scales, or
-covariances; the camera's 3x4 matrix need not be a rotation; rays may be parallel; blur, far plane
-and smallest radius are arguments; opacities can make up for the blur, as in
-``clgs.ops.general.antialias``, with a gradient. Trainers with one kind of camera keep the faster
-stage.
+covariances; the camera's 3x4 matrix need not be a rotation; rays may be parallel, or those of an
+equidistant fisheye; blur, far plane and smallest radius are arguments; opacities can make up for
+the blur, as in ``clgs.ops.general.antialias``, with a gradient. Trainers with one kind of camera
+keep the faster stage.
 
 Sources: 3DGS (EWA splatting, Zwicker et al. 2001); Mip-Splatting (Yu et al. 2024) for the
 opacities; gradients by the camera are our own.
@@ -46,14 +46,15 @@ class Splats:
 
 @dataclass(frozen=True)
 class Lens:
-    """How a camera sees: parallel rays or not, and whether opacities make up for the blur.
+    """How a camera sees, and whether opacities make up for the blur.
 
-    blur: square pixels; near, far: depths within which Gaussians are drawn; smallest_radius: boxes
-    that reach no more pixels along both axes are culled; reach: how many standard deviations from
-    the centre boxes end, None if they end where alpha is below its cut.
+    model: "pinhole"; "ortho", parallel rays; or "fisheye", an equidistant one, whose depth is the
+    camera's z, too. blur: square pixels; near, far: depths within which Gaussians are drawn;
+    smallest_radius: boxes that reach no more pixels along both axes are culled; reach: how many
+    standard deviations from the centre boxes end, None if they end where alpha is below its cut.
     """
 
-    parallel: bool = False
+    model: str = "pinhole"
     compensated: bool = False
     blur: float = 0.3
     near: float = 0.01
@@ -189,7 +190,8 @@ def backward(
 def _defines(device: Device, splats: Splats, lens: Lens) -> dict[str, int | float]:
     return {
         "VEC": device.lanes,
-        "PARALLEL_RAYS": int(lens.parallel),
+        "PARALLEL_RAYS": int(lens.model == "ortho"),
+        "FISHEYE": int(lens.model == "fisheye"),
         "BY_COVARIANCE": int(splats.rotation is None),
         "COMPENSATED": int(lens.compensated),
     }

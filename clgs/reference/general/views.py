@@ -1,4 +1,9 @@
-"""Projection for any camera in float64, by whole covariance matrices, with all its gradients."""
+"""Projection for any camera in float64, by whole covariance matrices, with all its gradients.
+
+By an equidistant fisheye of focal length 1, a point (x, y, z) appears at (x, y) g, with
+g = arctan2(r, z) / r and r the distance from the axis. Near the axis, where quotients lose their
+digits, power series in (r / z)^2 take their place.
+"""
 
 from __future__ import annotations
 
@@ -18,12 +23,14 @@ from clgs.reference.project import (
     unpack,
 )
 
+NEAR_AXIS, TERMS = 0.02, 8
+
 
 @dataclass(frozen=True)
 class Lens:
     """The fields of ``clgs.ops.general.views.Lens`` that change numbers; near is the camera's."""
 
-    parallel: bool = False
+    model: str = "pinhole"
     compensated: bool = False
     blur: float = 0.3
     far: float = 1e10
@@ -84,8 +91,11 @@ def forward(
         if lens.reach is not None:
             by_alpha, shows = np.full(len(mean), lens.reach), opacity >= 0
         extent = by_alpha[:, None] * np.sqrt(np.stack([xx, yy], 1))
-        depth_of = 1 if lens.parallel else seen.point[:, 2:]
-        mean2d = view.focal * seen.point[:, :2] / depth_of + view.centre2d
+        if lens.model == "fisheye":
+            slope = seen.point[:, :2] * _bend(seen.point).factor[:, None]
+        else:
+            slope = seen.point[:, :2] / (1 if lens.model == "ortho" else seen.point[:, 2:])
+        mean2d = view.focal * slope + view.centre2d
         radii = np.ceil(extent)
         drawn = np.all((mean2d + radii > 0) & (mean2d - radii < view.size), axis=1)
         drawn &= np.max(radii, axis=1) > lens.smallest_radius
@@ -146,7 +156,9 @@ def backward(
 def _see(view: UnpackedCamera, mean: Array, covariance: Array, lens: Lens) -> _Seen:
     point = mean @ view.rotation.T + view.translation
     matrix, free = np.zeros((len(point), 2, 3)), np.ones((len(point), 2), bool)
-    if lens.parallel:
+    if lens.model == "fisheye":
+        matrix[:] = view.focal[:, None] * _fisheye_jacobian(point)
+    elif lens.model == "ortho":
         matrix[:, [0, 1], [0, 1]] = view.focal
     else:
         slope = point[:, :2] / point[:, 2:]
@@ -170,7 +182,11 @@ def _point_gradient(
     view: UnpackedCamera, seen: _Seen, lens: Lens, d_mean2d: Array, d_j: Array
 ) -> Array:
     d_point = np.zeros_like(seen.point)
-    if lens.parallel:
+    if lens.model == "fisheye":
+        d_point += np.einsum("ni,nij->nj", d_mean2d, seen.jacobian)
+        by_point = view.focal[:, None, None] * _fisheye_curvature(seen.point)
+        return np.asarray(d_point + np.einsum("nij,nijk->nk", d_j, by_point))
+    if lens.model == "ortho":
         d_point[:, :2] = d_mean2d * view.focal
         return d_point
     z = seen.point[:, 2:]
@@ -181,3 +197,64 @@ def _point_gradient(
     by_depth = np.sum(d_j * seen.jacobian, axis=(1, 2)) + np.sum(d_slope * slope, axis=1)
     d_point[:, 2] = -by_depth / z[:, 0]
     return d_point
+
+
+@dataclass(frozen=True)
+class _Bend:
+    """g, (dg/dr) / r and the same of that, (N,) each."""
+
+    factor: Array
+    first: Array
+    second: Array
+
+
+def _bend(point: Array) -> _Bend:
+    """The numbers of points (N, 3) in camera space."""
+    z, r = point[:, 2], np.hypot(point[:, 0], point[:, 1])
+    square = r**2 + z**2
+    with np.errstate(all="ignore"):
+        g = np.arctan2(r, z) / r
+        first = (z / square - g) / r**2
+        second = -(2 * z / square**2 + 3 * first) / r**2
+        s, k = (r / z)[:, None] ** 2, np.arange(TERMS)
+        of_g = (-1) ** k / (2 * k + 1)
+        of_first = 2 * (k[:-1] + 1) * of_g[1:]
+        of_second = 2 * (k[:-2] + 1) * of_first[1:]
+        series = [
+            np.sum(terms * s ** k[: len(terms)], axis=1) / z**power
+            for terms, power in ((of_g, 1), (of_first, 3), (of_second, 5))
+        ]
+        near = r < NEAR_AXIS * z
+    pairs = zip(series, (g, first, second), strict=True)
+    return _Bend(*(np.where(near, one, other) for one, other in pairs))
+
+
+def _fisheye_jacobian(point: Array) -> Array:
+    """Derivatives (N, 2, 3) of the picture by the point."""
+    b, across = _bend(point), point[:, :2]
+    square = np.sum(point**2, axis=1)
+    matrix = np.zeros((len(point), 2, 3))
+    matrix[:, :, :2] = b.factor[:, None, None] * np.eye(2)
+    matrix[:, :, :2] += b.first[:, None, None] * across[:, :, None] * across[:, None, :]
+    matrix[:, :, 2] = -across / square[:, None]
+    return matrix
+
+
+def _fisheye_curvature(point: Array) -> Array:
+    """Derivatives (N, 2, 3, 3) of the Jacobian by the point, which is the last axis."""
+    b, p, one = _bend(point), point[:, :2], np.eye(2)
+    square, z = np.sum(point**2, axis=1)[:, None, None], point[:, 2]
+    result = np.zeros((len(point), 2, 3, 3))
+    symmetric = (
+        np.einsum("ij,nk->nijk", one, p)
+        + np.einsum("ik,nj->nijk", one, p)
+        + np.einsum("jk,ni->nijk", one, p)
+    )
+    cubic = np.einsum("ni,nj,nk->nijk", p, p, p)
+    result[:, :, :2, :2] = np.einsum("n,nijk->nijk", b.first, symmetric)
+    result[:, :, :2, :2] += np.einsum("n,nijk->nijk", b.second, cubic)
+    by_depth = 2 * p[:, :, None] * p[:, None, :] / square**2 - one / square
+    result[:, :, :2, 2] = by_depth
+    result[:, :, 2, :2] = by_depth
+    result[:, :, 2, 2] = 2 * p * z[:, None] / square[:, 0] ** 2
+    return result

@@ -9,7 +9,7 @@ from clgs.ops.general import views
 from clgs.ops.general.channels import ChannelGradients
 from clgs.options import DEFAULT
 from clgs.reference.general import views as reference
-from tests.compare import relative_l2
+from tests.compare import assert_close, relative_l2
 
 SIZE = (96, 80)
 UPPER = np.triu_indices(3)
@@ -33,10 +33,10 @@ def gaussians(rng, count):
     return {name: value.astype(np.float32) for name, value in values.items()}
 
 
-def lenses(parallel, compensated):
+def lenses(model, compensated):
     shared = {"blur": 0.25, "far": 5.5, "smallest_radius": 2.0}
-    given = views.Lens(parallel, compensated, near=2.0, **shared)
-    return given, reference.Lens(parallel, compensated, **shared)
+    given = views.Lens(model, compensated, near=2.0, **shared)
+    return given, reference.Lens(model, compensated, **shared)
 
 
 def on_device(device, values, by_covariance):
@@ -50,18 +50,25 @@ def on_device(device, values, by_covariance):
 
 
 @pytest.mark.parametrize(
-    ("parallel", "compensated", "by_covariance"),
-    [(False, False, False), (False, True, True), (True, True, False), (True, False, True)],
+    ("model", "compensated", "by_covariance"),
+    [
+        ("pinhole", False, False),
+        ("pinhole", True, True),
+        ("ortho", True, False),
+        ("ortho", False, True),
+        ("fisheye", True, False),
+        ("fisheye", False, True),
+    ],
 )
-def test_agrees_with_reference(device, rng, parallel, compensated, by_covariance):
+def test_agrees_with_reference(device, rng, model, compensated, by_covariance):
     count = 1500
     values = gaussians(rng, count)
     wide = {name: value.astype(np.float64) for name, value in values.items()}
     covariance = reference.covariances(wide["scale"], wide["rotation"])
     viewmat, intrinsics = matrices(rng)
-    if parallel:
+    if model == "ortho":
         intrinsics[[0, 1], [0, 1]] = 22.0, 25.0
-    lens, lens64 = lenses(parallel, compensated)
+    lens, lens64 = lenses(model, compensated)
     packed = views.pack_camera(viewmat, intrinsics, SIZE, lens.near)
     splats, camera = on_device(device, values, by_covariance), device.upload(packed)
     none = device.empty((count, 0))
@@ -113,7 +120,7 @@ def test_agrees_with_reference(device, rng, parallel, compensated, by_covariance
 @pytest.mark.parametrize("by_covariance", [False, True])
 def test_what_gets_no_gradient_has_zeros_without_a_sign(device, rng, by_covariance):
     """Compilers may choose the sign of a zero that a formula gives: Mesa's chooses another."""
-    count, (lens, _) = 60, lenses(False, compensated=False)
+    count, (lens, _) = 60, lenses("pinhole", compensated=False)
     viewmat, intrinsics = matrices(rng)
     camera = device.upload(views.pack_camera(viewmat, intrinsics, SIZE, lens.near))
     splats = on_device(device, gaussians(rng, count), by_covariance)
@@ -130,6 +137,41 @@ def test_what_gets_no_gradient_has_zeros_without_a_sign(device, rng, by_covarian
     for name, array in vars(made).items():
         if array is not None:
             assert not device.download(array).view(np.uint32).any(), name
+
+
+@pytest.mark.parametrize("by_covariance", [False, True])
+def test_a_fisheye_sees_the_axis_and_almost_90_degrees(device, rng, by_covariance):
+    """Points on the axis, close to it, at 45 degrees and far beyond; what is behind is culled."""
+    tilt = np.array([0, 0, 1e-12, 1e-5, 1e-3, 0.02, 0.3, 0.7, np.pi / 4, 0.9, 1.3, 1.57, 1.6, 3.1])
+    turn, distance = rng.uniform(0, 6, len(tilt)), rng.uniform(1, 3, len(tilt))
+    across = np.sin(tilt) * [np.cos(turn), np.sin(turn)]
+    mean = (distance * [*across, np.cos(tilt)]).T
+    values = gaussians(rng, len(tilt)) | {"mean": mean.astype(np.float32)}
+    values["opacity"][:] = 0.9
+    wide = {name: value.astype(np.float64) for name, value in values.items()}
+    shape = reference.covariances(wide["scale"], wide["rotation"])
+    lens, lens64 = views.Lens("fisheye", near=1e-4), reference.Lens("fisheye")
+    intrinsics = np.array([[30.0, 0, 48], [0, 25, 40], [0, 0, 1]])
+    packed = views.pack_camera(np.eye(4), intrinsics, SIZE, lens.near)
+    wanted = reference.forward(wide["mean"], shape, wide["opacity"], packed, lens64)[0]
+    assert np.array_equal(wanted.extent[:, 0] > 0, tilt < np.pi / 2)
+    angle = np.hypot(*((wanted.mean2d - [48, 40]) / [30, 25]).T)[:12]
+    assert np.abs(angle - tilt[:12]).max() < 1e-6
+    splats, camera = on_device(device, values, by_covariance), device.upload(packed)
+    none = device.empty((len(tilt), 0))
+    found = views.forward(device, splats, camera, lens, none, DEFAULT)
+    for name in ("mean2d", "whitening", "depth", "extent"):
+        assert_close(device.download(getattr(found, name)), getattr(wanted, name), 3e-5, name)
+    d = {"d_mean2d": (len(tilt), 2), "d_whitening": (len(tilt), 3), "d_opacity": (len(tilt),)}
+    d = {name: rng.normal(size=size).astype(np.float32) for name, size in d.items()}
+    uploaded = {name: device.upload(value) for name, value in d.items()}
+    d_seen = ChannelGradients(**uploaded, d_depth=None, d_color=none, d_absolute=None)
+    made = device.download(views.backward(device, splats, camera, lens, found, d_seen).d_mean)
+    by = [d["d_mean2d"], d["d_whitening"], np.zeros(len(tilt)), d["d_opacity"]]
+    expected = reference.backward(wide["mean"], shape, wide["opacity"], packed, lens64, *by).d_mean
+    for one, other in zip(made[:12], expected[:12], strict=True):
+        assert relative_l2(one, other) < 1e-5
+    assert not made[12:].any()
 
 
 def test_boxes_of_a_reach_do_not_depend_on_the_opacity(device, rng):
