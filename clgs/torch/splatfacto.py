@@ -1,6 +1,7 @@
 """nerfstudio's method ``clgs-splatfacto``: its splatfacto, drawn here, on a machine without CUDA.
 
-``ns-train clgs-splatfacto --machine.device-type cpu`` finds :data:`METHOD` by its entry point.
+``ns-train clgs-splatfacto --machine.device-type cpu`` finds ``METHOD`` by its entry point. It is
+made when it is asked for: nerfstudio's table of methods, which it comes from, asks while it loads.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ from typing import Any
 
 import gsplat
 import torch
-from nerfstudio.configs.method_configs import method_configs
 from nerfstudio.models import splatfacto
 from nerfstudio.plugins.types import MethodSpecification
 from torch import Tensor
@@ -63,11 +63,12 @@ def _drawn_here() -> Iterator[None]:
         splatfacto.rasterization, Tensor.cuda = theirs
 
 
-def _method() -> MethodSpecification:
+def __getattr__(name: str) -> MethodSpecification:
+    if name != "METHOD":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from nerfstudio.configs.method_configs import method_configs
+
     config = deepcopy(method_configs["splatfacto"])
     config.method_name = "clgs-splatfacto"
     config.pipeline.model = ClgsSplatfactoModelConfig()
     return MethodSpecification(config, "Splatfacto by clgs.torch, on any OpenCL device, no CUDA.")
-
-
-METHOD = _method()

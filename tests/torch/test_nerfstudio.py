@@ -6,6 +6,10 @@ How to install it: docs/reference/rasterization.md.
 from __future__ import annotations
 
 import json
+import os
+import random
+import subprocess
+import sys
 import tomllib
 from copy import deepcopy
 from importlib import import_module
@@ -48,6 +52,8 @@ def test_the_trainer_learns(tmp_path, monkeypatch):
     config.pipeline.model.num_random = 300
     config.output_dir, config.machine.device_type = tmp_path / "out", "cpu"
     config.vis, config.max_num_iterations = "", 6
+    random.seed(config.machine.seed)  # as ns-train does: some random points are out of sight
+    torch.manual_seed(config.machine.seed)
     trainer = config.setup()
     trainer.setup()
     model, theirs = trainer.pipeline.model, splatfacto.rasterization
@@ -61,6 +67,17 @@ def test_the_trainer_learns(tmp_path, monkeypatch):
     assert picture.std() > 0.01
     assert (splatfacto.rasterization, torch.Tensor.cuda) == (theirs, usual)
     assert list((tmp_path / "out").rglob("step-*.ckpt"))
+
+
+def test_the_method_is_found_if_its_module_is_imported_first(tmp_path):
+    code = """import clgs.torch.splatfacto as ours
+assert ours.METHOD.config.method_name == "clgs-splatfacto"
+from nerfstudio.configs.method_configs import all_methods
+assert all_methods["clgs-splatfacto"].pipeline.model._target is ours.ClgsSplatfactoModel
+assert not hasattr(ours, "METHODS")
+"""
+    named = {"NERFSTUDIO_METHOD_CONFIGS": "clgs-splatfacto=clgs.torch.splatfacto:METHOD"}
+    subprocess.run([sys.executable, "-c", code], env=os.environ | named, cwd=tmp_path, check=True)
 
 
 def test_an_older_gsplat_is_refused(monkeypatch):
