@@ -170,13 +170,19 @@ def locate(listed: ListedPhoto, root: Path, files: PhotoFolder) -> Photo | None:
 
     Raises:
         DataError: a path leads out of the data set, the photo cannot be read, or its aspect ratio
-            is not that of the lens; or the listed mask is missing.
+            is not that of the lens, or the list gives no size and a centre outside of the photo; or
+            the listed mask is missing.
     """
     path = files.find(listed)
     if path is None:
         return None
     size = posed_size(path, listed.size)
     lens = fit_lens(listed.lens(*(listed.size or size)), size, path)
+    if listed.size is None and not (0 <= lens.cx <= lens.width and 0 <= lens.cy <= lens.height):
+        raise DataError(
+            f"{listed.source}: the centre of the lens, {lens.cx:g} {lens.cy:g}, lies outside of "
+            f"{path.name!r}, which is {lens.width}x{lens.height}; give the w and h it is for"
+        )
     name = path.relative_to(files.path).as_posix()
     portable = PurePosixPath(listed.name.replace("\\", "/")).as_posix()
     other = "" if name in (portable, f"{portable}{path.suffix}") else listed.name

@@ -128,7 +128,8 @@ def meaning_of(masks: Sequence[Path | None]) -> str:
     levels = []
     for number in np.linspace(0, len(paths) - 1, min(len(paths), JUDGED)).round().astype(int):
         with open_image(paths[number]) as picture:
-            level = picture.convert("RGBA").split()[3] if picture.has_transparency_data else picture
+            alpha = picture.convert("RGBA").split()[3] if picture.has_transparency_data else None
+            level = picture if alpha is None or alpha.getextrema()[0] == 255 else alpha
             levels.append(np.asarray(level.convert("L").resize(SMALL)) >= USED)
     used = np.array(levels)
     border = np.concatenate([used[:, 0], used[:, -1], used[:, :, 0], used[:, :, -1]], axis=1)

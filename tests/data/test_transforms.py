@@ -169,6 +169,14 @@ def test_smaller_images_scale_the_intrinsics(tmp_path):
     assert lens.cx == pytest.approx(41.0 * 40 / 81)
 
 
+@pytest.mark.parametrize("absent", ["w", "h", "wh"])
+def test_a_lens_for_photos_of_another_unknown_size_is_refused(tmp_path, absent):
+    document = write_transforms(tmp_path, 2, fl_x=1000.0, cx=200.0, cy=150.0, w=400, h=300)
+    save_json(tmp_path, {name: document[name] for name in document if name not in absent})
+    with pytest.raises(DataError, match=r"frame 0: .* 200 150, .* is 40x30; give the w and h"):
+        read_transforms(tmp_path)
+
+
 def test_blender_split_and_pose(tmp_path):
     write_blender(tmp_path)
     photos = read_blender(tmp_path)

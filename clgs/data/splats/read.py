@@ -46,9 +46,14 @@ MOST_UNIT = 2.0
 
 MOST_REST = 3 * ((MAX_DEGREE + 1) ** 2 - 1)
 
-_MODE = re.compile(r"(?:splat)?[_-]?(?:render|rasteri[sz]e?r?)[_-]?mode\s*[:=\s]\s*(\w+)", re.ASCII)
+_MODE = re.compile(
+    r"(?:[\w.]+[.])?(?:splat)?[\s_-]?(?:render|raster(?:i[sz](?:er?|ation))?)[\s_-]?mode"
+    r"\s*[:=\s]\s*(\w+)",
+    re.ASCII,
+)
 _SWITCH = re.compile(
-    r"(?:\w+[.])?(?:anti[_-]?alias(?:ed|ing)?|mip[\s_-]?splat(?:s|ting)?)(?:\s*[:=\s]\s*(\w+))?",
+    r"(?:[\w.]+[.]|--)?(?:anti[\s_-]?alias(?:ed|ing)?|mip[\s_-]?splat(?:s|ting)?)"
+    r"(?:\s*[:=\s]\s*([\w.]+))?",
     re.ASCII,
 )
 _CLAUSES = re.compile(r"[;,{}]")
@@ -101,7 +106,7 @@ def is_antialiased(comments: list[str]) -> bool:
         if mode := _MODE.fullmatch(words):
             found = mode[1] in ("mip", "antialiased")
         elif switch := _SWITCH.fullmatch(words):
-            found = switch[1] in (None, "1", "true", "yes", "on")
+            found = switch[1] in (None, "1", "1.0", "true", "yes", "on", "enabled")
     return found
 
 

@@ -196,6 +196,12 @@ def test_a_filter_widens_splats_and_keeps_their_light(tmp_path, rng):
         (["mip-splatting"], True),
         (["Mip-Splatting: false"], False),
         (["trained without mip-splatting"], False),
+        (["Rasterize mode: antialiased"], True),
+        (["rasterization_mode = classic"], False),
+        (["pipeline.model.rasterize-mode antialiased"], True),
+        (["splat render mode: mip"], True),
+        (["anti aliased 1.0"], True),
+        (["--antialiasing"], True),
     ],
 )
 def test_marks_of_antialiased_splats(tmp_path, rng, comments, antialiased):

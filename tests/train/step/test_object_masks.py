@@ -70,6 +70,10 @@ def test_pixels_outside_show_the_background_and_all_are_compared(masked, cpu):
 def test_what_masks_mean_is_told_by_what_they_leave(masked, tmp_path):
     masks = [photo.mask for photo in load_dataset(masked, load_images=False).photos]
     assert meaning_of(masks) == OBJECT
+    opaque = [tmp_path / f"opaque_{mask.name}" for mask in masks]
+    for mask, path in zip(masks, opaque, strict=True):
+        Image.open(mask).convert("RGBA").save(path)
+    assert meaning_of(opaque) == OBJECT
     assert meaning_of([*masks, None]) == meaning_of([]) == meaning_of(masks[:1] * 3) == IGNORE
     for number in range(3):  # the sky: most of the border is used
         used = np.zeros((40, 60), np.uint8)
