@@ -98,7 +98,7 @@ def train(
     dataset = load_for(config, data, points, lambda line: on_event(Note(line)))
     if start is not None:
         dataset = repose(dataset, finished_settings(start)[0].scene.transform)
-    config = config.for_dataset(dataset.kind).for_devices(len(devices))
+    config = config.for_devices(len(devices)).for_dataset(dataset.kind)
     if resume and (finished := finished_run(folder, dataset, config)):
         return TrainedRun(finished, config.steps, was_finished=True)
     first = None if start is None else partial(state_of_run, opened, dataset, folder=start)

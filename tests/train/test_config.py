@@ -49,6 +49,15 @@ def test_open_settings_follow_the_dataset(name, kind, voxel, position_q, volume_
     assert config.for_dataset(kind) == config
 
 
+def test_a_batch_has_the_lambda_of_as_many_views():
+    for steps, batch in ((300, 2), (3_000, 4)):
+        some = TrainConfig(batch=batch).scaled(steps).for_dataset("colmap")
+        alone = TrainConfig().scaled(steps * batch).for_dataset("colmap")
+        assert some.size_lambda == alone.size_lambda
+        grown = TrainConfig().scaled(steps).for_devices(batch).for_dataset("colmap")
+        assert grown.size_lambda == some.size_lambda
+
+
 def test_given_settings_win_over_the_dataset():
     config = TrainConfig(voxel=0.01, volume_weight=0.0).for_dataset("colmap")
     assert (config.voxel, config.position_q, config.volume_weight) == (0.01, 100.0, 0.0)

@@ -65,10 +65,13 @@ ORDER = ("statistics_start", "growth_start", "growth_end", "switch_step", "freez
 """These steps come in this order."""
 
 
-def default_lambda(kind: str, steps: int) -> float:
-    """The lambda of a run of ``steps`` on data of ``kind``, see :meth:`TrainConfig.for_dataset`."""
-    power = LAMBDA_POWERS[steps > LAMBDA_STEPS]
-    return LAMBDA[kind == BLENDER] * float((steps / LAMBDA_STEPS) ** power)
+def default_lambda(kind: str, looks: int) -> float:
+    """The lambda of a run on data of ``kind``, see :meth:`TrainConfig.for_dataset`.
+
+    ``looks``: at views, one per step or as many as a batch has.
+    """
+    power = LAMBDA_POWERS[looks > LAMBDA_STEPS]
+    return LAMBDA[kind == BLENDER] * float((looks / LAMBDA_STEPS) ** power)
 
 
 @dataclass(frozen=True)
@@ -240,7 +243,7 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
         position_q = self.position_q or paper_q or 1.0 / voxel
         price = self.size_lambda
         if price is None:
-            price = default_lambda(kind, self.steps)
+            price = default_lambda(kind, self.steps * self.batch)
         priced = price > 0 or self.target_size > 0
         fine = {} if priced else {name: getattr(self, name) or q for name, q in FINE_Q.items()}
         return replace(

@@ -36,8 +36,8 @@ class SizeSettings:
         WEIGHT,
         unit="dB per halving",
         group="size",
-        open_default="0.9 on photos and 0.33 on Blender scenes, times (steps / 3,000)^0.55; above "
-        "3,000 steps, ^0.7",
+        open_default="0.9 on photos and 0.33 on Blender scenes, times (steps batch / 3,000)^0.55; "
+        "above 3,000, ^0.7",
     )
     target_size: int = option(
         0,

@@ -118,7 +118,7 @@ class Economy:
         ends = config.target_size > 0  # the size must be met; else training repairs what rounds do
         moments = np.linspace(config.switch_step, last, rounds, endpoint=ends)
         self._lambda = config.size_lambda or 0.0
-        usual = default_lambda(dataset.kind, config.steps)
+        usual = default_lambda(dataset.kind, config.steps * config.batch)
         self._most_loss = MOST_LOSS ** min(max(1.0, self._lambda / usual), NO_LIMIT)
         active = (self._lambda > 0 or config.target_size > 0) and not config.box
         thinned = [share * config.switch_step for share in THINNED]

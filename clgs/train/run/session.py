@@ -300,7 +300,7 @@ def train_scene(
     if not str(folder).strip():
         raise UsageError("folder: the name is empty; name the run folder")
     check_run_folder(Path(folder), resume, overwrite)
-    resolved = (config or TrainConfig()).for_dataset(dataset.kind).for_devices(len(devices))
+    resolved = (config or TrainConfig()).for_devices(len(devices)).for_dataset(dataset.kind)
     dataset = with_points(dataset, resolved, Path(folder))
     origin = None if start is None else Path(start)
     if origin is not None:

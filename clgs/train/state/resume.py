@@ -142,6 +142,8 @@ def changed_settings(folder: Path, config: TrainConfig) -> str:
     names = [name for name in kept if there.get(name) != here.get(name)]
     if "steps" in names:
         names = ["steps"]  # most others follow from it
+    elif "batch" in names:
+        names = [name for name in names if name != "size_lambda"]  # follows from it
     shown = [
         f"{options[name].flag}: {there.get(name)} there, {here.get(name)} here"
         for name in names[:SHOWN]
