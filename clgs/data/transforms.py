@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any, NoReturn
@@ -36,7 +36,10 @@ COEFFICIENTS = {
 }
 """Distortion coefficients that each ``camera_model`` reads; missing ones are zero."""
 
-DISTORTION = COEFFICIENTS["FULL_OPENCV"].split()
+LISTED = "distortion_params"
+"""Nerfstudio's field for the coefficients of OPENCV as a list; it counts more than single ones."""
+
+DISTORTION = [*COEFFICIENTS["FULL_OPENCV"].split(), LISTED]
 
 SIZE, CENTRE = ("w", "h"), ("cx", "cy")
 FOCAL = ("fl_x", "fl_y", "camera_angle_x", "camera_angle_y")
@@ -191,6 +194,15 @@ class _Fields:
             self.fail(key, "is not a finite number of sensible size; correct it")
         return float(value)
 
+    def listed_coefficients(self, names: Sequence[str]) -> dict[str, float]:
+        """The coefficients ``names`` of the field LISTED."""
+        order, given = COEFFICIENTS["OPENCV"].split(), self.level(DISTORTION)[LISTED]
+        if not isinstance(given, list) or len(given) != len(order):
+            self.fail(LISTED, f"is not a list of {len(order)} numbers ({' '.join(order)})")
+        single = replace(self, frame=dict(zip(order, given, strict=True)))
+        every = {name: single.number(name, 0.0, order) for name in order}
+        return {name: every[name] for name in names}
+
     def text(self, key: str, default: str) -> str:
         value = self.frame.get(key, self.shared.get(key, default))
         if not isinstance(value, str):
@@ -221,8 +233,12 @@ def _read_lens(fields: _Fields, width: int, height: int) -> Lens:
     if model not in COEFFICIENTS:
         known = ", ".join(COEFFICIENTS)
         fields.fail("camera_model", f"{model[:40]!r} is unknown; undistort to one of {known}")
-    names = COEFFICIENTS[model].split()
-    coefficients = {name: fields.number(name, 0.0, DISTORTION) for name in names}
+    if LISTED in fields.level(DISTORTION):
+        model = model if "FISHEYE" in model else "OPENCV"
+        coefficients = fields.listed_coefficients(COEFFICIENTS[model].split())
+    else:
+        names = COEFFICIENTS[model].split()
+        coefficients = {name: fields.number(name, 0.0, DISTORTION) for name in names}
     focal = _focal_lengths(fields, width, height)
     centre = fields.number("cx", width / 2, CENTRE), fields.number("cy", height / 2, CENTRE)
     return Lens.of_model(model, (width, height), focal, centre, coefficients)

@@ -148,6 +148,28 @@ def test_intrinsics_of_a_frame_win(tmp_path, own, expected):
         assert found == pytest.approx(values)
 
 
+@pytest.mark.parametrize("own", [False, True])
+def test_coefficients_may_be_a_list(tmp_path, own):
+    """As nerfstudio writes them: k1 k2 k3 k4 p1 p2; single ones count less."""
+    listed = [0.1, -0.02, 0.003, 0.0, 0.004, 0.005]
+    document = write_transforms(tmp_path, 2, k1=0.3, camera_model="SIMPLE_RADIAL")
+    for place in document["frames"] if own else [document]:
+        place["distortion_params"] = listed
+    save_json(tmp_path, document)
+    for photo in everything(tmp_path):
+        assert [*photo.lens.radial[:3], *photo.lens.tangential] == [*listed[:3], *listed[4:]]
+    document["camera_model"] = "OPENCV_FISHEYE"
+    save_json(tmp_path, document)
+    lens = everything(tmp_path)[0].lens
+    assert (lens.fisheye, *lens.radial) == (True, *listed[:4])
+    for wrong in ([0.1], "0.1", [0.1, 0, 0, 0, 0, "x"], [0.1, 0, 0, 0, 0, 1e30]):
+        document["frames"][0]["distortion_params"] = wrong
+        save_json(tmp_path, document)
+        message = r"frame 0: (distortion_params is not a list|p2 is not)"
+        with pytest.raises(DataError, match=message):
+            read_transforms(tmp_path)
+
+
 def test_angle_gives_focal_length_and_extension_is_found(tmp_path):
     document = write_transforms(tmp_path, 2)
     for key in ("fl_x", "fl_y", "cx", "cy", "w", "h"):
