@@ -150,7 +150,7 @@ def test_intrinsics_of_a_frame_win(tmp_path, own, expected):
 
 @pytest.mark.parametrize("own", [False, True])
 def test_coefficients_may_be_a_list(tmp_path, own):
-    """As nerfstudio writes them: k1 k2 k3 k4 p1 p2; single ones count less."""
+    """Nerfstudio writes k1 k2 k3 k4 p1 p2; single coefficients count less."""
     listed = [0.1, -0.02, 0.003, 0.0, 0.004, 0.005]
     document = write_transforms(tmp_path, 2, k1=0.3, camera_model="SIMPLE_RADIAL")
     for place in document["frames"] if own else [document]:
