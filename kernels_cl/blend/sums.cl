@@ -34,10 +34,10 @@ static inline Sums add_rows(Sums s, __global const float *rows, int begin, int e
 __kernel void blend_accumulate(__global const float *rows, __global const int *row_range,
                                const int count, __global float *sums)
 {
-    const int i = (int)item_from_middle();
-    if (i >= count)
+    const size_t i = item_from_middle();
+    if (i >= (size_t)count)
         return;
-    __global float *own = sums + SUM_SIZE * (size_t)i;
+    __global float *own = sums + SUM_SIZE * i;
     const Sums s = add_rows(load_sums(own), rows, row_range[i], row_range[i + 1]);
     vstore8(s.first, 0, own);
     own[8] = s.alpha;
@@ -49,7 +49,7 @@ __kernel void blend_accumulate(__global const float *rows, __global const int *r
     __global float *d_mean2d, __global float *d_whitening, __global float *d_color,                \
         __global float *d_opacity
 
-static inline void store_gradients(Sums s, int i, __global const float *whitening,
+static inline void store_gradients(Sums s, size_t i, __global const float *whitening,
                                    __global const float *color, __global const float *opacity,
                                    GRADIENTS)
 {
@@ -76,8 +76,8 @@ __kernel void blend_sum(__global const float *rows, __global const int *row_rang
                         __global const float *whitening, __global const float *color,
                         __global const float *opacity, GRADIENTS)
 {
-    const int i = (int)item_from_middle();
-    if (i >= count)
+    const size_t i = item_from_middle();
+    if (i >= (size_t)count)
         return;
     const Sums zero = {(float8)(0.0f), 0.0f};
     store_gradients(add_rows(zero, rows, row_range[i], row_range[i + 1]), i, whitening, color,
@@ -89,9 +89,9 @@ __kernel void blend_finish(__global const float *sums, const int count,
                            __global const float *whitening, __global const float *color,
                            __global const float *opacity, GRADIENTS)
 {
-    const int i = (int)item_from_middle();
-    if (i >= count)
+    const size_t i = item_from_middle();
+    if (i >= (size_t)count)
         return;
-    store_gradients(load_sums(sums + SUM_SIZE * (size_t)i), i, whitening, color, opacity, d_mean2d,
+    store_gradients(load_sums(sums + SUM_SIZE * i), i, whitening, color, opacity, d_mean2d,
                     d_whitening, d_color, d_opacity);
 }

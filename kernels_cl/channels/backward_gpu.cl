@@ -2,8 +2,9 @@
  *
  * A work-group owns a tile, each of its TILE_SIZE^2 work-items a pixel. Record after record, the
  * work-items leave MOMENT_BATCH moments at a time in local memory and add them up in a fixed order:
- * over the units for each of their 16 pixels, then over these by a tree. Launch size:
- * tiles * TILE_SIZE^2, from `first_tile` on. */
+ * over the units for each of their 16 pixels, then over these by a tree. Loops over channels are
+ * unrolled, so that arrays stay in registers; the loop with barriers is not: PoCL 3.1 would make other
+ * sums of it. Launch size: tiles * TILE_SIZE^2, from `first_tile` on. */
 #include "blend/record.h"
 #include "blend/touch.h"
 #include "blend/units.h"
@@ -59,6 +60,7 @@ channels_backward(__global const float *records, __global const int *gaussian,
     rays.transmittance = 1.0f;
     rays.behind = 0.0f;
     rays.last = 0;
+#pragma unroll
     for (int c = 0; c < ALL_CHANNELS; ++c)
         rays.d[c] = 0.0f;
     if (x < width && y < height) {
@@ -66,6 +68,7 @@ channels_backward(__global const float *records, __global const int *gaussian,
         rays.transmittance = transmittance[at];
         rays.last = last_contributor[at];
         rays.behind = d_left[at];
+#pragma unroll
         for (int c = 0; c < ALL_CHANNELS; ++c) {
             rays.d[c] = d_image[at * (size_t)image_pitch + (size_t)(first + c)];
             rays.behind = fma(rays.d[c], background[first + c], rays.behind);

@@ -2,8 +2,7 @@
  *
  * A work-group owns a tile, each of its TILE_SIZE^2 work-items a pixel; 16 neighbouring ones are a
  * unit, which passes over records that do not touch it. Local memory holds BATCH records, which the
- * work-items load together. Launch size: tiles * TILE_SIZE^2, from
- * `first_tile` on. */
+ * work-items load together. Launch size: tiles * TILE_SIZE^2, from `first_tile` on. */
 #include "blend/record.h"
 #include "blend/touch.h"
 #include "blend/units.h"

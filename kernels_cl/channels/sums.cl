@@ -18,16 +18,19 @@ __kernel void channels_accumulate(__global const float *rows, __global const int
                                   const int count, const int first, const int sums_pitch,
                                   __global float *sums)
 {
-    const int i = (int)item_from_middle();
-    if (i >= count)
+    const size_t i = item_from_middle();
+    if (i >= (size_t)count)
         return;
-    __global float *own = sums + (size_t)sums_pitch * (size_t)i;
+    __global float *own = sums + (size_t)sums_pitch * i;
     float sum[MOMENTS];
+#pragma unroll
     for (int j = 0; j < MOMENTS; ++j)
         sum[j] = own[j < MOMENT_CHANNEL ? j : FIXED_SUMS + first + j - MOMENT_CHANNEL];
     for (int k = row_range[i]; k < row_range[i + 1]; ++k)
+#pragma unroll
         for (int j = 0; j < MOMENTS; ++j)
             sum[j] += rows[MOMENT_PITCH * (size_t)k + (size_t)j];
+#pragma unroll
     for (int j = 0; j < MOMENTS; ++j)
         own[j < MOMENT_CHANNEL ? j : FIXED_SUMS + first + j - MOMENT_CHANNEL] = sum[j];
 }
@@ -41,10 +44,10 @@ __kernel void channels_finish(__global const float *sums, const int count, const
                               __global float *d_absolute, __global float *d_color,
                               __global float *d_depth)
 {
-    const int i = (int)item_from_middle();
-    if (i >= count)
+    const size_t i = item_from_middle();
+    if (i >= (size_t)count)
         return;
-    __global const float *s = sums + (size_t)sums_pitch * (size_t)i;
+    __global const float *s = sums + (size_t)sums_pitch * i;
     const float r1 = whitening[3 * i], l = whitening[3 * i + 1], r2 = whitening[3 * i + 2];
     bool touched = false; /* else compilers may choose the sign of a zero */
     for (int j = 0; j <= MOMENT_ALPHA; ++j)
@@ -65,7 +68,7 @@ __kernel void channels_finish(__global const float *sums, const int count, const
     (void)d_absolute;
 #endif
     for (int c = 0; c < colors; ++c)
-        d_color[(size_t)colors * (size_t)i + (size_t)c] = s[FIXED_SUMS + c];
+        d_color[(size_t)colors * i + (size_t)c] = s[FIXED_SUMS + c];
 #if WITH_DEPTH
     d_depth[i] = s[FIXED_SUMS + colors];
 #else

@@ -26,6 +26,7 @@ static inline void unveil(ChannelRays *p, const Record *record, const float valu
     p->transmittance = p->transmittance / (1.0f - alpha);
     const fv weight = alpha * p->transmittance;
     fv shade = (fv)(0.0f);
+#pragma unroll
     for (int c = 0; c < ALL_CHANNELS; ++c) {
         shade = fma(p->d[c], (fv)(value[c]), shade);
         m[MOMENT_CHANNEL + c] += weight * p->d[c];

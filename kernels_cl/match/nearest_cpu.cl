@@ -17,8 +17,13 @@
 
 /* AVX2 has an instruction that adds the products of two pairs of shorts, at twice the rate of
  * floats. Registers of AVX-512 hold as many floats. */
-#if defined(__AVX2__) && !defined(__AVX512F__) && TILES_AT_ONCE == 1
+#if defined(__AVX2__) && !defined(__AVX512F__) && TILES_AT_ONCE == 1 && defined(__has_builtin)
+#if __has_builtin(__builtin_ia32_pmaddwd256)
 #define PAIRS (LENGTH / 2)
+#endif
+#endif
+
+#ifdef PAIRS
 typedef int row_numbers[PAIRS][ROWS];
 typedef short shorts __attribute__((__vector_size__(32)));
 
@@ -45,7 +50,7 @@ static inline void multiply(row_numbers rows, __global const uchar *others, cons
     for (int r = 0; r < ROWS; ++r)
         sum[r][0] = sum[r][1] = (int8)(0);
     for (int k = 0; k < PAIRS; ++k) {
-        const ulong place = ((ulong)tile * PAIRS + k) * 2;
+        const size_t place = ((size_t)tile * PAIRS + k) * 2;
         const short16 first = convert_short16(vload16(place, others));
         const short16 second = convert_short16(vload16(place + 1, others));
 #pragma unroll
@@ -84,7 +89,7 @@ static inline void multiply(row_numbers rows, __global const uchar *others, cons
         iv pair[TILES_AT_ONCE];
 #pragma unroll
         for (int c = 0; c < TILES_AT_ONCE; ++c)
-            pair[c] = TO_IV(CLGS_CAT(vload, VEC)(((ulong)(tile + c) * LENGTH + k) / 2, numbers));
+            pair[c] = TO_IV(CLGS_CAT(vload, VEC)(((size_t)(tile + c) * LENGTH + k) / 2, numbers));
 #pragma unroll
         for (int r = 0; r < ROWS; ++r)
 #pragma unroll

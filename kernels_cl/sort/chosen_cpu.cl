@@ -81,7 +81,7 @@ __kernel void sort_count_pairs(__global const uint *pairs, __global const int *p
     __global int *counter = counters + get_global_id(0) * COUNTERS;
     clear_counters(counter, plan[PLAN_WIDTH]);
     for (int i = own.begin; i < own.end; ++i)
-        ++counter[planned_digit(pairs[2 * i], plan, 1)];
+        ++counter[planned_digit(pairs[2 * (size_t)i], plan, 1)];
 }
 
 /* Counters become places, digit by digit; one work-item. */
