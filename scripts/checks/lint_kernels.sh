@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Check every kernel file with clang, in each of its forms: vectors of 16 and of 8 lanes for CPUs,
-# scalars and local memory for GPUs.
+# scalars and local memory for GPUs. Then the other code that build options choose.
 #   - Warnings are errors. OpenCL drivers accept silently what these catch, such as a double
 #     constant on a device that has doubles.
 #   - No symbol stays undefined when the unoptimised program is linked with libclc for an AMD and an
@@ -105,12 +105,23 @@ check() { # file, defines
     return "$failed"
 }
 
-jobs() { # one line per file and form
+forms() { # file, defines: one line per form
+    [[ $1 == *_gpu.cl ]] || printf '%s -DVEC=%s -DUSE_LOCAL=0\n' "$*" 16 "$*" 8
+    [[ $1 == *_cpu.cl ]] || printf '%s -DVEC=1 -DUSE_LOCAL=1\n' "$*"
+}
+
+jobs() { # one line per file, form and choice of code
     local file
     for file in kernels_cl/*/*.cl; do
-        [[ $file == *_gpu.cl ]] || printf '%s -DVEC=%s -DUSE_LOCAL=0\n' "$file" 16 "$file" 8
-        [[ $file == *_cpu.cl ]] || printf '%s -DVEC=1 -DUSE_LOCAL=1\n' "$file"
+        forms "$file"
     done
+    forms kernels_cl/views/views.cl -DFISHEYE=1 -DCOMPENSATED=1
+    forms kernels_cl/views/views.cl -DPARALLEL_RAYS=1 -DBY_COVARIANCE=1 -DCOMPENSATED=1
+    forms kernels_cl/views/harmonics.cl -DCOEFFICIENTS=25 -DBARE_SUMS=1
+    for file in kernels_cl/channels/*.cl; do
+        forms "$file" -DWITH_DEPTH=1 -DWITH_ABSOLUTE=1
+    done
+    forms kernels_cl/match/nearest_cpu.cl -DTILES_AT_ONCE=1 -DROWS=4
 }
 
 if [ -z "$clang" ]; then

@@ -62,6 +62,24 @@ def form_complaints(files: Mapping[str, str]) -> list[str]:
     return complaints
 
 
+def unroll_complaints(path: str, text: str) -> list[str]:
+    """Loops with a barrier that a pragma unrolls: PoCL 3.1 makes other sums of them."""
+    code = without_comments(text)
+    loops = (_statement(code[at.end() :]) for at in re.finditer(r"#pragma unroll\b.*\n", code))
+    return [f"{path}: a loop with a barrier is unrolled" for loop in loops if "barrier(" in loop]
+
+
+def _statement(code: str) -> str:
+    """The statement that begins on the first line, to the end of its last one."""
+    depth, lines = 0, []
+    for line in code.splitlines():
+        lines.append(line)
+        depth += line.count("{") - line.count("}")
+        if depth <= 0 and line.rstrip().endswith((";", "}")):
+            break
+    return "\n".join(lines)
+
+
 def include_complaints(files: Mapping[str, str]) -> list[str]:
     """Includes of which nothing is used, and what is used of headers that are included indirectly.
 

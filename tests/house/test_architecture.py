@@ -106,6 +106,10 @@ def test_kernel_helpers_are_static_inline():
     assert not flat([kernel_rules.inline_complaints(*item) for item in kernel_files().items()])
 
 
+def test_no_loop_with_a_barrier_is_unrolled():
+    assert not flat([kernel_rules.unroll_complaints(*item) for item in kernel_files().items()])
+
+
 def test_kernel_files_of_a_form_are_pairs():
     assert not kernel_rules.form_complaints(kernel_files())
 

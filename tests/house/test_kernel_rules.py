@@ -65,6 +65,16 @@ def test_kernels_and_static_inline_helpers_pass(text):
     assert kernel_rules.inline_complaints("room/a.cl", text) == []
 
 
+@pytest.mark.parametrize("before", ["", "for (int j = 0; j < 2; ++j)\n"])
+def test_barriers_in_unrolled_loops_are_found(before):
+    loop = "for (int i = 0; i < 2; ++i) {\n    x[i] = 1; /* } */\n    barrier(F);\n}\n"
+    (found,) = kernel_rules.unroll_complaints("room/a.h", f"#pragma unroll\n{before}{loop}")
+    assert found == "room/a.h: a loop with a barrier is unrolled"
+    short = "#pragma unroll\nfor (int k = 0; k < 2; ++k)\n    y[k] = 0;\n"
+    for text in (before + loop, short + loop, short + "barrier(F);\n"):
+        assert kernel_rules.unroll_complaints("room/a.h", text) == []
+
+
 def test_forms_come_in_pairs_and_know_one_form_only():
     files = {"room/verb_cpu.cl": KERNEL % "1", "room/verb_gpu.cl": KERNEL % "2"}
     assert kernel_rules.form_complaints({**files, "room/other.cl": "USE_LOCAL"}) == []
