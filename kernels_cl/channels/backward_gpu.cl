@@ -3,8 +3,8 @@
  * A work-group owns a tile, each of its TILE_SIZE^2 work-items a pixel. Record after record, the
  * work-items leave MOMENT_BATCH moments at a time in local memory and add them up in a fixed order:
  * over the units for each of their 16 pixels, then over these by a tree. Loops over channels are
- * unrolled, so that arrays stay in registers; the loop with barriers is not: PoCL 3.1 would make other
- * sums of it. Launch size: tiles * TILE_SIZE^2, from `first_tile` on. */
+ * unrolled, so that arrays stay in registers; the loop with barriers is not: PoCL 3.1 would make
+ * other sums of it. Launch size: tiles * TILE_SIZE^2, from `first_tile` on. */
 #include "blend/record.h"
 #include "blend/touch.h"
 #include "blend/units.h"
