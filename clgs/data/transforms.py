@@ -198,7 +198,9 @@ class _Fields:
         """The coefficients ``names`` of the field LISTED."""
         order, given = COEFFICIENTS["OPENCV"].split(), self.level(DISTORTION)[LISTED]
         if not isinstance(given, list) or len(given) != len(order):
-            self.fail(LISTED, f"is not a list of {len(order)} numbers ({' '.join(order)})")
+            self.fail(
+                LISTED, f"is not a list of the {len(order)} numbers {' '.join(order)}; correct it"
+            )
         single = replace(self, frame=dict(zip(order, given, strict=True)))
         every = {name: single.number(name, 0.0, order) for name in order}
         return {name: every[name] for name in names}

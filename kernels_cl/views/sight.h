@@ -101,7 +101,6 @@ static inline OWN_FUNCTION void load_shape(Sight *s, __global const float *shape
 static inline void see_point(Sight *s, const fv mean[3], __global const float *camera)
 {
     Projection *p = &s->p;
-    const fv zero = (fv)(0.0f);
     for (int row = 0; row < 3; ++row)
         s->point[row] = camera_coordinate(camera, row, mean);
     p->z = s->point[2];
@@ -110,8 +109,8 @@ static inline void see_point(Sight *s, const fv mean[3], __global const float *c
     for (int axis = 0; axis < 2; ++axis)
         p->slope[axis] = b.side[axis] * b.bent;
     bent_rays(&b, camera, s->rays);
-    (void)zero;
 #else
+    const fv zero = (fv)(0.0f);
     for (int axis = 0; axis < 2; ++axis) {
         const fv focal = (fv)(camera[CAMERA_FX + axis]);
         __global const float *limits = camera + CAMERA_SLOPE_LIMITS + 2 * axis;
