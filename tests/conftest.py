@@ -66,9 +66,12 @@ def open_device() -> Callable[..., Any]:
     return open_one
 
 
-@pytest.fixture(scope="session", params=["cpu", "gpu"])
+@pytest.fixture(scope="session", params=["cpu", pytest.param("gpu", marks=pytest.mark.slow)])
 def device(request: pytest.FixtureRequest, open_device: Callable[..., Any]) -> Any:
-    """The machine's device, with the kernels' CPU form and with their GPU form."""
+    """The machine's device, with the kernels' CPU form and with their GPU form.
+
+    Tests of the GPU form are slow ones, because conformance finds the same bits in both.
+    """
     return open_device(request.param)
 
 

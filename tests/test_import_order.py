@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("code", "warned"),
     [

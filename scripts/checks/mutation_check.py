@@ -86,6 +86,7 @@ def drawn(mutants: Iterable[Mutant], stages: list[str], count: int, seed: int) -
 def run_tests(folder: Path, files: Iterable[str], *options: str) -> tuple[int, str]:
     """(exit code, first failing test or last line) of pytest on the copy in ``folder``."""
     command = [sys.executable, "-m", "pytest", "-q", "--tb=short", "-p", "no:cacheprovider"]
+    command += ["-m", "not release"]  # slow tests look, too
     variables = {"CLGS_TEST_MUTANT": str(folder), "CLGS_TEST_KERNELS": str(folder / "built")}
     try:
         done = subprocess.run(

@@ -49,6 +49,7 @@ def views():
     return scene, turned
 
 
+@pytest.mark.slow
 def test_contributions_add_up_to_the_picture(device, views):
     """Weights times colors have the sum of the picture over black, in every channel."""
     scene, (view, *_) = views
@@ -61,6 +62,7 @@ def test_contributions_add_up_to_the_picture(device, views):
     assert len(np.unique(seen.slot)) == len(seen.slot)
 
 
+@pytest.mark.slow
 def test_refinement_brings_it_closer_and_repeats_bit_for_bit(device, views):
     scene, turned = views
     rough = bake(device, scene, turned, BakeSettings(1, 0))
@@ -73,6 +75,7 @@ def test_refinement_brings_it_closer_and_repeats_bit_for_bit(device, views):
         assert np.array_equal(getattr(again, name), array), name
 
 
+@pytest.mark.slow
 def test_photos_are_what_it_is_refined_to(device, views):
     scene, turned = views
     renderer = Renderer(device, scene)

@@ -140,6 +140,7 @@ def assert_profile(said, run):
     assert all(0 <= skip["share"] <= 1 for skip in profile["skips"])
 
 
+@pytest.mark.slow
 def test_a_memory_budget_changes_nothing(data, run):
     """Two MiB; the pictures, and so the scores: all but the time."""
     whole, grouped = (
@@ -200,6 +201,7 @@ def test_an_interrupted_run_says_how_to_go_on(data, tmp_path, monkeypatch):
     one_line(done, 130, "clgs: interrupted; repeat the command with --resume to go on")
 
 
+@pytest.mark.slow
 def test_no_device_is_exit_code_4(run, tmp_path):
     one_line(
         process("selftest", OCL_ICD_VENDORS=str(tmp_path), PYOPENCL_CTX="no such device"),

@@ -26,7 +26,7 @@ def test_json_describes_every_device(capsys):
     assert [one["kind"] for one in devices] == [kind_of(d, form_of(d)) for d in expected]
 
 
-@pytest.mark.parametrize("form", ["cpu", "gpu"])
+@pytest.mark.parametrize("form", ["cpu", pytest.param("gpu", marks=pytest.mark.slow)])
 def test_devices_of_a_kind_have_the_same_letter(capsys, monkeypatch, form):
     monkeypatch.setenv("CLGS_SPECIALISATION", form)
     assert main(["devices", "--json"]) == 0

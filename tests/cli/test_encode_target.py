@@ -106,6 +106,7 @@ def test_an_interrupted_run_leaves_nothing(scene, target, tmp_path, monkeypatch)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["s.clgs", "s.npz"]
 
 
+@pytest.mark.slow
 def test_photos_of_a_dataset_say_what_it_costs(scene, target, tmp_path, open_device, capsys):
     write_transforms(tmp_path / "data", 16)
     command = ["encode", scene, "-o", str(target), "--data", str(tmp_path / "data")]

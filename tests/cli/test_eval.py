@@ -58,6 +58,7 @@ def test_people_get_a_table_and_programs_a_file(folder, capsys, tmp_path):
     assert again.splitlines() == rows
 
 
+@pytest.mark.slow
 def test_all_files_hold_the_same_scores(folder, capsys, tmp_path):
     pytest.importorskip("onnxruntime", reason='pip install "clgs[lpips]"')
     np.savez(tmp_path / "weights.npz", **random_weights())

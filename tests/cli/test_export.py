@@ -97,6 +97,7 @@ def test_splats_are_converted(work, capsys, suffix):
         assert max(differences(load_splats(work / "x.ply").gaussians, gaussians()).values()) < 1e-6
 
 
+@pytest.mark.slow
 def test_a_scene_without_data_is_baked_and_says_so(work, capsys):
     scene, _ = anchor_scene(300, 64, 5)
     scales = QuantizationScales()

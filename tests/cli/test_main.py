@@ -301,6 +301,7 @@ def test_a_closed_output_is_no_error():
     assert (found.returncode, found.stderr) == (0, "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("commands", ["", "info", *cli.LABORATORY, "COMMANDS"])
 def test_help_imports_nothing_heavy_and_no_other_command(commands):
     heavy = ["numpy", "pyopencl", "skimage", "pycolmap", "rich", "trimesh", "PIL", "asyncio"]
@@ -347,6 +348,7 @@ def test_a_lack_of_memory_is_distinguished_from_a_bug(run_raising, monkeypatch, 
     assert "this is a bug" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["encode", "decode", "pack", "unpack"])
 def test_commands_of_the_codec_say_what_needs_less_memory(command, monkeypatch, capsys):
     def fail(args):
@@ -378,13 +380,12 @@ sys.exit(cli.main(["info", sys.argv[1]]))
 """
     command = [sys.executable, "-c", code, str(tmp_path / "sparse.clgs")]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (
-        result.stderr
-        == "clgs: error: out of memory; end other programs, or use a machine that has more\n"
-    )
+    remedy = "end other programs, or use a machine that has more"
+    assert result.stderr == f"clgs: error: out of memory; {remedy}\n"
     assert result.returncode == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["info", "decode", "encode"])
 def test_files_are_coded_without_what_only_training_needs(command, tmp_path):
     """Loading SciPy or an OpenCL driver would take longer than the work."""
@@ -394,7 +395,6 @@ from clgs.cli.main import main
 main([{command!r}, "missing.npz", *([] if {command!r} == "info" else ["-o", "out.clgs"])])
 print([name for name in ("scipy", "pyopencl") if name in sys.modules])
 """
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path
-    )
+    run = [sys.executable, "-c", code]
+    done = subprocess.run(run, capture_output=True, text=True, check=True, cwd=tmp_path)
     assert done.stdout.splitlines()[-1] == "[]", done

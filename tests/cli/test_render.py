@@ -60,6 +60,7 @@ def test_a_clip_has_its_frames(here, tmp_path, path):
     assert [picture.shape for picture in found] == [(30, 40, 3)] * 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", ["s.clgs", "splats.ply", "splats.clgs"])
 def test_a_scene_needs_no_data_for_an_orbit(here, tmp_path, scene):
     out = tmp_path / "o"

@@ -53,6 +53,7 @@ def sizes(folder: Path) -> set[tuple[int, int]]:
     return found
 
 
+@pytest.mark.slow
 def test_the_largest_width_goes_with_a_run(command, tmp_path):
     run, drawn = tmp_path / "narrow", tmp_path / "drawn"
     assert command("train", "-o", run, "--steps", 2, "--max-size", 24) == 0
@@ -67,6 +68,7 @@ def test_the_largest_width_goes_with_a_run(command, tmp_path):
     assert sizes(tmp_path / "larger") == {(40, 40)}
 
 
+@pytest.mark.slow
 def test_another_width_is_another_run(command, tmp_path, capsys):
     again = ("train", "-o", tmp_path / "run", "--steps", 2, "--resume")
     assert command(*again, "--downscale", 2) == 0

@@ -38,6 +38,7 @@ def test_a_closed_standard_error_is_no_error(monkeypatch, capsys):
     assert capsys.readouterr().out == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "encoding"),
     [

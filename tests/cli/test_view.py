@@ -23,6 +23,7 @@ PORT = 18090
 """Is taken, so that the viewer takes the next."""
 
 
+@pytest.mark.slow
 def test_the_viewer_says_where_it_is_and_ends_when_interrupted(tmp_path):
     save_scene(tmp_path / "s.npz", random_scene(np.random.default_rng(3), 40))
     write_scene(tmp_path / "data", train=4, test=1, size=16)

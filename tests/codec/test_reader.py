@@ -211,6 +211,7 @@ def test_damaged_streams_with_right_checksums_are_refused_or_read_alike(
         assert_alike(ours, other, body + struct.pack("<I", _codec.crc32c(body)))
 
 
+@pytest.mark.slow
 def test_the_command_says_in_a_line_what_is_wrong(tmp_path):
     (tmp_path / "no.clgs").write_bytes(b"not one")
     reader = [sys.executable, "-m", "codec_c.reader"]

@@ -251,6 +251,7 @@ def test_an_impossible_lens_is_refused(tmp_path):
         load_dataset(tmp_path, load_images=False)
 
 
+@pytest.mark.slow
 def test_shared_captures_have_the_known_counts(shared_data):
     expected = {"fox": (43, 7, 17), "nerf_synthetic_400/chair": (100, 200, 0)}
     if (shared_data / "fern_colmap_8").is_dir():

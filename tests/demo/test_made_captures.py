@@ -65,6 +65,7 @@ def test_no_pose_of_the_tower_is_called_good_and_wrong(tmp_path: Path):
     assert not wrong or verdict.sure.startswith("not sure")
 
 
+@pytest.mark.slow
 def test_the_true_poses_are_written(tmp_path: Path):
     pytest.importorskip("embreex")
     pytest.importorskip("skimage")

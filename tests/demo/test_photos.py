@@ -66,6 +66,7 @@ def test_photo_is_the_same_every_time(gallery):
     assert np.mean((first == 0) | (first == 255)) < 0.02
 
 
+@pytest.mark.slow
 def test_files_are_plain_jpegs_and_the_same_from_any_process(gallery, monkeypatch, tmp_path):
     assert photos.make_photos(tmp_path / "pool", width=WIDTH, stops=2) == 2
     monkeypatch.setattr(photos, "_scene", lambda: gallery)

@@ -52,6 +52,7 @@ def pocl_alone():
         pytest.skip("needs PoCL from the system, and no other driver")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("pocl_alone")
 def test_an_unwritable_cache_is_named(tmp_path):
     (tmp_path / "file").touch()
@@ -65,6 +66,7 @@ def test_an_unwritable_cache_is_named(tmp_path):
     assert "error    OpenCL: PoCL cannot keep its kernels" in done.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("pocl_alone")
 def test_drivers_that_are_not_named_or_do_not_load(tmp_path):
     done = run_clgs("doctor", OCL_ICD_VENDORS=str(tmp_path))
@@ -135,6 +137,7 @@ def test_memory_is_known_on_linux():
         assert (available_memory() or 0) > 0
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_packages")
 def test_a_program_that_does_not_build_is_named(monkeypatch):
     from clgs.opencl import programs

@@ -147,6 +147,7 @@ def test_training_starts_from_the_exported_points(dataset, tmp_path, kind):
     assert read_points(path, 10, kind, 0) == pytest.approx(CLOUD, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_it_needs_no_other_library(data, tmp_path):
     """Trimesh takes networkx if it is there; it is not among the package's dependencies."""
     code = """

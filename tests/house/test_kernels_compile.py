@@ -41,6 +41,7 @@ def build(device, form, text):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "form"), FORMS)
 def test_builds_alone_with_its_defaults(open_device, name, form):
     """And the driver finds the parameters that clgs reads from the source."""

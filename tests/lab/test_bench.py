@@ -134,6 +134,7 @@ def test_codec_measures_every_level_of_files(codec_file, capsys):
     assert "published" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_codec_measures_a_seeded_scene_and_its_file(tmp_path):
     target = tmp_path / "figures.json"
     tiny = ["--anchors", "300", "--levels-only", "--repeats", "1", "--json", str(target)]

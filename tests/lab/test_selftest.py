@@ -64,6 +64,7 @@ def test_a_failure_is_named_and_others_go_on(devices, capsys, tmp_path, bad):
     assert [one["passed"] for one in second["checks"]] == [True]
 
 
+@pytest.mark.slow
 def test_checks_go_on_after_one_that_raises(open_device, monkeypatch):
     def check_mask(device, rng, count):
         raise RuntimeError("CL_OUT_OF_RESOURCES:\n no more")

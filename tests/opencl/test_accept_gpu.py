@@ -65,6 +65,7 @@ def test_wrong_words_are_a_line(tmp_path, words, complaint):
     assert len(done.stderr.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_devices_without_a_list_of_drivers(tmp_path):
     """The drivers of this machine alone, since the list that the loader is given is empty."""
     if not any(name.endswith("libpocl.so.2") for name in libraries()):

@@ -45,6 +45,7 @@ def notes(folder):
     return "".join(file.read_text() for file in folder.glob("drivers/*.txt")).split()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("broken")
 def test_a_driver_that_crashes_ends_no_user_s_process(device, tmp_path):
     for _ in range(2):  # it is no better the next time
@@ -78,6 +79,7 @@ def test_what_was_built_once_asks_no_child(device, monkeypatch, tmp_path):
         Device().kernel(*MASK, UNUSED=1)  # another build
 
 
+@pytest.mark.slow
 def test_another_version_of_clgs_tries_again(device, monkeypatch, tmp_path):
     device.kernel(*MASK)
     monkeypatch.setattr(first_build, "__version__", "another")
@@ -92,6 +94,7 @@ def test_a_child_that_is_killed_is_named(device):
         device.kernel(*QUANTIZE)
 
 
+@pytest.mark.slow
 def test_a_child_without_work_ends_and_another_follows(device, monkeypatch):
     monkeypatch.setattr(first_build, "IDLE_SECONDS", 0.05)
     device.kernel(*MASK)

@@ -85,6 +85,7 @@ def every_degree():
         yield pytest.param(*pair, marks=() if pair in quick else pytest.mark.release)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("preset", "degree"), list(every_degree()))
 def test_presets_agree_with_decision_matched_reference(device, rng, preset, degree):
     options = RenderOptions(accuracy=replace(PRESETS[preset], exp2_degree=degree))
@@ -136,6 +137,7 @@ def test_exact_preset_is_close_to_no_truncation(device, rng):
     assert error <= 0.25
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("form", "skip", "kind"),
     [
@@ -353,6 +355,7 @@ def test_clamped_color_has_no_gradient(device, rng):
     assert actual["d_color"][3, 1] != 0.0
 
 
+@pytest.mark.slow
 def test_counted_pairs_are_those_decided(device, rng):
     scene = projected_scene(rng, 900, 70, 50, 2.0)
     rendered = render(device, scene, (70, 50))

@@ -22,6 +22,7 @@ def case(rng, size):
     return image, d_picture, maps.astype(np.float32)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES)
 def test_agrees_with_reference(device, rng, size):
     image, d_picture, maps = case(rng, size)

@@ -68,6 +68,7 @@ def hard_pairs(rng):
     yield "ramp", ramp / 255, ramp.astype(np.uint8)
 
 
+@pytest.mark.slow
 @pytest.mark.family("N30")
 def test_variances_do_not_cancel(device, rng):
     for name, image, target in hard_pairs(rng):
@@ -148,6 +149,7 @@ def flat_pairs(rng):
     yield lone.copy(), np.zeros(lone.shape, np.uint8)
 
 
+@pytest.mark.slow
 def test_flat_tiles_give_the_same_bits_as_sums_of_zeros(device, rng, monkeypatch):
     defines = loss._defines
     for image, target in flat_pairs(rng):

@@ -57,6 +57,7 @@ def test_equal_descriptors_and_zeros(device, data, seed):
     assert_equal(found, *photos)
 
 
+@pytest.mark.slow
 def test_lanes_and_forms_give_the_same(rng, monkeypatch):
     photos = [sift_like(rng, 500), sift_like(rng, 700)]
     results = []

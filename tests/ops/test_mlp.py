@@ -176,6 +176,7 @@ SKIPS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bias", [-9, -0.4, 9])
 def test_skips_do_not_change_a_bit(device, rng, bias):
     values, visible = with_opacity_bias(anchors(rng, 1500), bias), some(rng, 1300, 1500)
@@ -307,14 +308,11 @@ def test_camera_centre_has_no_direction(device, rng):
 def test_both_specialisations_decode_the_same(open_device, rng):
     """Rows are summed in one order everywhere; samples are sorted alike."""
     values, visible = anchors(rng, 800), some(rng, 700, 800)
-    outputs, columns = [], []
-    for specialisation in ("cpu", "gpu"):
-        device = open_device(specialisation)
-        activations = run_forward(device, values, visible)
-        outputs.append(drawn_output(device, activations))
-        columns.append(device.download(activations.visible))
-    assert np.array_equal(*columns)
-    assert np.array_equal(*outputs)
+    devices = [open_device(form) for form in ("cpu", "gpu")]
+    activations = [run_forward(device, values, visible) for device in devices]
+    both = list(zip(devices, activations, strict=True))
+    assert np.array_equal(*(device.download(each.visible) for device, each in both))
+    assert np.array_equal(*(drawn_output(device, each) for device, each in both))
 
 
 def test_both_specialisations_go_back_the_same(open_device, rng):
@@ -342,6 +340,7 @@ for _ in range(2):
 """
 
 
+@pytest.mark.slow
 def test_threads_do_not_change_a_bit():
     hashes = set()
     for threads in ("1", "2"):
@@ -368,6 +367,7 @@ def test_wrong_shapes_are_refused(device, rng):
         run_forward(device, values, visible.astype(np.int64))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [33, 1025])
 def test_sizes_for_few_registers_make_the_same_bits(open_device, rng, monkeypatch, count):
     device, values, visible = open_device("gpu"), anchors(rng, count), np.arange(count)

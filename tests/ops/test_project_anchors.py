@@ -70,6 +70,7 @@ def test_the_bits_are_those_of_the_stages_with_a_room(device, rng, room):
     assert_same(device, found, by_stages(device, values, visible, room)[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("skipped", ["opacity_first", "slots"])
 def test_the_bits_are_those_of_all_skips(device, rng, skipped):
     values, visible = case(rng, 400), some(rng, 300, 400)

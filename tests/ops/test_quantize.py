@@ -69,6 +69,7 @@ def test_a_scale_for_each_element(device, rng):
     assert np.array_equal(rounded, reference.elements(x, odd))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("towards", ["INFINITY", "-INFINITY"])
 def test_a_device_whose_division_is_inexact_rounds_like_others(device, rng, monkeypatch, towards):
     def read(name, read_program=programs.read_program):

@@ -50,6 +50,7 @@ def touched(scene, size):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sigma", "ratio"), [(1.1, 3.0), (5.0, 3.0), (30.0, 100.0)])
 def test_lists_hold_what_the_reference_finds(device, rng, sigma, ratio):
     scene = projected_scene(rng, 800, 150, 90, sigma, ratio)
@@ -111,6 +112,7 @@ def test_small_images_and_scenes(device, rng, size, count):
     assert len(found - entries(vars(expected_lists(scene, size)))) <= 1
 
 
+@pytest.mark.slow
 def test_large_gaussians_keep_their_order(device, rng):
     """Boxes of more tiles than fit a set of them, and small ones."""
     scene = projected_scene(rng, 400, 1300, 100, 3.0)
@@ -191,6 +193,7 @@ def test_lists_of_some_rows_of_tiles(device, rng):
         assert np.array_equal(owner, np.repeat(np.arange(500), np.diff(band["row_range"])))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sigma", "ratio"), [(1.1, 30.0), (40.0, 4e3), (4e4, 4e5)])
 def test_exact_tiles_change_no_bit(device, rng, sigma, ratio):
     """Every tile of the bounding box instead: longer lists, the same image and gradients."""

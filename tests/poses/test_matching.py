@@ -53,6 +53,7 @@ def found(workspace: Workspace):
     }
 
 
+@pytest.mark.slow
 def test_any_device_and_number_of_processes_finds_the_same(workspace, monkeypatch):
     results, progress = [], []
     pairs = pairs_to_match(workspace)
@@ -76,6 +77,7 @@ def test_any_device_and_number_of_processes_finds_the_same(workspace, monkeypatc
     assert progress[-1] == ("geometry", PAIRS, PAIRS)
 
 
+@pytest.mark.slow
 def test_a_failure_of_one_process_is_an_error(workspace, monkeypatch):
     monkeypatch.setattr(verify, "THREADS", 2)
     with pytest.raises(DataError, match="two-view geometry: "):
@@ -118,6 +120,7 @@ def test_a_cheap_look_finds_the_pairs_that_share_something(workspace):
     assert alike == [pair for pair in every if max(pair) < PHOTOS]
 
 
+@pytest.mark.slow
 def test_all_features_are_used_where_the_largest_give_few_matches(workspace, monkeypatch):
     pairs = pairs_to_match(workspace)
     assert not matching.match(workspace, pairs)  # no photo has as many features

@@ -25,6 +25,7 @@ LARGEST = 200
 """Features of a photo by which the first model is made."""
 
 
+@pytest.mark.slow
 def test_points_are_added_on_the_walls_of_a_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(matching, "MAX_FULL", 0)
     monkeypatch.setattr(matching, "ENOUGH_MATCHES", 0)

@@ -30,6 +30,7 @@ def similarity_error(found: np.ndarray, true: np.ndarray) -> float:
     return float(error / np.linalg.norm(b, axis=1).max())
 
 
+@pytest.mark.slow
 def test_room_is_reconstructed(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     photos, output = tmp_path / "photos", tmp_path / "data"
     poses = write_room_photos(photos, 9)
@@ -88,6 +89,7 @@ def unrelated(tmp_path: Path) -> Path:
     return write_noise(tmp_path / "photos", 3, (64, 48))
 
 
+@pytest.mark.slow
 def test_unrelated_photos_leave_nothing(unrelated: Path, tmp_path: Path):
     stages: list[str] = []
     with pytest.raises(DataError, match="overlapping"):
@@ -96,6 +98,7 @@ def test_unrelated_photos_leave_nothing(unrelated: Path, tmp_path: Path):
     assert [path.name for path in tmp_path.iterdir()] == ["photos"]
 
 
+@pytest.mark.slow
 def test_a_thing_that_turns_before_a_camera_that_stands_is_named(tmp_path: Path):
     photos = tmp_path / "photos"
     photos.mkdir()

@@ -92,6 +92,7 @@ def ended(process):
     return process.communicate(timeout=HANG)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_a_signal_does_not_wait_for_native_code(start, tmp_path: Path, name: str):
     process = start(DEAF)
@@ -103,6 +104,7 @@ def test_a_signal_does_not_wait_for_native_code(start, tmp_path: Path, name: str
     assert list((tmp_path / "data").iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_killed_parent_leaves_neither_process_nor_folder(start, tmp_path: Path):
     process = start(DEAF)
     until_deaf(process, tmp_path)
@@ -114,6 +116,7 @@ def test_a_killed_parent_leaves_neither_process_nor_folder(start, tmp_path: Path
     assert list((tmp_path / "data").iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_crash_is_one_line(start, tmp_path: Path):
     process = start("os._exit(77)")
     out, err = ended(process)
@@ -123,6 +126,7 @@ def test_a_crash_is_one_line(start, tmp_path: Path):
     assert list((tmp_path / "data").iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_failure_keeps_its_words(start):
     process = start("raise ValueError('no SIFT today')")
     _, err = ended(process)

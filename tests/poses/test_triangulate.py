@@ -25,6 +25,7 @@ def room_points(root: Path, cache: Path | None = None, seed: int = 0) -> Points:
     return triangulate(photos(root), cache, seed)
 
 
+@pytest.mark.slow
 def test_points_lie_on_the_walls_and_are_cached(tmp_path: Path):
     write_room(tmp_path / "room", 8)
     before = sorted(tmp_path.rglob("*"))
@@ -47,6 +48,7 @@ def test_points_lie_on_the_walls_and_are_cached(tmp_path: Path):
     assert len(list(cache.iterdir())) == 1
 
 
+@pytest.mark.slow
 def test_changed_images_are_not_answered_from_the_cache(tmp_path: Path):
     write_room(tmp_path / "room", 3, (64, 48))
     cache = tmp_path / "run"
@@ -57,12 +59,14 @@ def test_changed_images_are_not_answered_from_the_cache(tmp_path: Path):
     assert len(list(cache.iterdir())) == 3
 
 
+@pytest.mark.slow
 def test_seeds_may_be_larger_than_pycolmap_takes(tmp_path: Path):
     write_room(tmp_path / "room", 3, (64, 48))
     points = [room_points(tmp_path / "room", seed=seed).position for seed in (7, 2**40 + 7)]
     assert np.array_equal(*points)
 
 
+@pytest.mark.slow
 def test_the_search_for_points_is_said_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     write_room(tmp_path / "room", 5, (64, 48))
     command = ["train", str(tmp_path / "room"), "-o", str(tmp_path / "run"), "--steps", "1"]

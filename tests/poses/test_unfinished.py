@@ -49,6 +49,7 @@ HANG = 60
 """Seconds after which the clean-up is given up."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("other", ["", WRITES_ON])
 def test_a_killed_process_leaves_nothing(tmp_path: Path, other: str):
     folder = tmp_path / "made"

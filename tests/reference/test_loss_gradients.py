@@ -9,6 +9,7 @@ from clgs.reference import loss
 from tests.compare import assert_close, central_difference
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("size", "weights"),
     [((1, 1), (0.8, 0.2)), ((5, 14), (1.0, 0.0)), ((5, 14), (0.8, 0.2)), ((13, 12), (0.0, 1.0))],

@@ -34,6 +34,7 @@ def test_one_pixel_enlarges_to_a_plain_picture():
     )
 
 
+@pytest.mark.slow
 def test_presets_render_the_same_scene(open_device):
     device = open_device("cpu")
     scene, camera = anchor_scene(3000, 75, 11)
@@ -49,6 +50,7 @@ def test_presets_render_the_same_scene(open_device):
     assert half.shape == (3, 76, 76)
 
 
+@pytest.mark.slow
 def test_preview_is_a_picture_of_half_the_size(device):
     scene, camera = anchor_scene(500, 48, 2)
     # what preview truncates, at full resolution

@@ -112,6 +112,7 @@ def test_reference_matches_central_differences(rng, name):
     assert np.abs(analytic - numeric).max() <= 1e-6 * np.abs(analytic).max()
 
 
+@pytest.mark.slow
 def test_with_rasterization_it_has_the_trainers_picture_and_gradients(device, rng):
     scene, camera = anchor_scene(3000, 96, 7)
     found = clgs.decode_anchors(scene, camera, device)

@@ -34,6 +34,7 @@ def wanted(device, scene, camera):
     return np.where(drawn[1] > 0, drawn[0] / weight, 0), drawn[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("max_memory", [None, 1 << 18])
 def test_depth_and_opacity_match_float64(device, max_memory):
     scene, camera = anchor_scene(2500, 80, 4)

@@ -27,6 +27,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("mode", "degree", "antialiased", "model", "by_covars"), CASES)
 def test_agrees_with_references(device, rng, mode, degree, antialiased, model, by_covars):
     given = scene(rng, sh_degree=degree, model=model)
@@ -63,6 +64,7 @@ def test_agrees_with_references(device, rng, mode, degree, antialiased, model, b
     assert all(array.shape == given[n].shape for n, array in made.items() if n in given)
 
 
+@pytest.mark.slow
 def test_batches_are_calls_of_their_own(device, rng):
     """Also: colors by camera, and a camera's picture does not depend on the others."""
     scenes = [scene(rng) for _ in range(4)]

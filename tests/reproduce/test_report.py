@@ -38,6 +38,7 @@ def results_of(table, tmp_path):
     return read_results(table, entries(table), tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_a_report_has_all_that_is_stored(stored, tmp_path):
     results = results_of(stored, tmp_path)
     made = write_report(tmp_path / "docs", results, tmp_path / "out", "x --y", note="On a Sunday.")

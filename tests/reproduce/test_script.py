@@ -37,6 +37,7 @@ def call(script, table_file, data, tmp_path, capsys):
     return run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
@@ -65,6 +66,7 @@ def test_without_dask_one_line_says_what_to_install(call, monkeypatch):
     assert call() == (1, ['reproduce: error: tasks need dask: pip install "clgs[distributed]"'])
 
 
+@pytest.mark.slow
 def test_no_scheduler_is_one_line(call, monkeypatch):
     monkeypatch.setattr("clgs.cluster.engine.CONNECT_SECONDS", 1)
     code, lines = call("--scheduler", "tcp://127.0.0.1:1")

@@ -118,6 +118,7 @@ def test_no_damage_escapes(arrays, tmp_path):
     refusal(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_damaged_archive_is_closed(arrays, tmp_path):
     path = tmp_path / "x.npz"
     np.savez(path, mlps=arrays["mlps"])
@@ -136,6 +137,7 @@ def bomb(path, names):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("read", [load_scene, load_mlps, load_subjects, load_checkpoint])
 def test_declared_sizes_are_bounded_before_anything_is_read(tmp_path, read):
     """Archives that users name, those next to them, and checkpoints are looked at first."""

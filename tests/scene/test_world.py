@@ -54,6 +54,7 @@ def test_texts_that_are_none_are_local():
     assert from_text([*lines, "world: map"]) == (MAP, NOWHERE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("frame", "place"), WORLDS)
 def test_bitstreams_and_archives_keep_it_to_the_last_bit(tmp_path, frame, place):
     scene = scene_in(frame, place)
@@ -82,6 +83,7 @@ def test_local_scenes_are_written_as_ever(tmp_path):
     assert load_scene(tmp_path / "scene.npz").transform == scene.transform
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "bad",
     [

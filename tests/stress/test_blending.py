@@ -33,6 +33,7 @@ CAMERA = straight_camera(32, 32)
 D_IMAGE = image_gradient(CAMERA)
 
 
+@pytest.mark.slow
 @pytest.mark.family("N13")
 @pytest.mark.parametrize(
     ("count", "opacity"),
@@ -78,6 +79,7 @@ def agreement(device, seed: int, count: int, size: tuple[int, int]) -> tuple[int
     return mismatches(device, scene, size, d_image)
 
 
+@pytest.mark.slow
 @pytest.mark.family("N15")
 @pytest.mark.parametrize("seed", range(3))
 def test_forward_and_backward_decide_alike(options_device, seed):

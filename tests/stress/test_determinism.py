@@ -63,6 +63,7 @@ def test_gradients_have_one_hash(folder):
     assert len(hashes_of_forms(folder, "gradients", 3, FEW)) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.family("N29")
 def test_training_has_one_hash(folder):
     both = hashes(folder, "training", "cpu", 40, FEW) | hashes(
@@ -84,6 +85,7 @@ def test_500_steps_have_one_hash(folder):
     assert len(both) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.family("N29")
 def test_another_number_of_steps_has_other_bits(folder, open_device):
     one, other = (training(open_device("cpu"), folder, steps) for steps in (2, 3))

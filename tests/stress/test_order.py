@@ -39,6 +39,7 @@ def same_bits(first, second, d_image):
         assert np.array_equal(one[name], other[name]), name
 
 
+@pytest.mark.slow
 @pytest.mark.family("N12")
 @pytest.mark.parametrize(
     ("sigma", "ratio"), [(0.3, 1.0), (1.0, 5.0), (4.0, 300.0), (20.0, 5.0), (500.0, 300.0)]

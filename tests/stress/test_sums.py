@@ -109,6 +109,7 @@ def bits_of(device, x, monkeypatch, group):
     return result.bits, result.table
 
 
+@pytest.mark.slow
 @pytest.mark.family("N35")
 @pytest.mark.parametrize("rows", [999, 100_000, pytest.param(10**6, marks=pytest.mark.release)])
 def test_rate_of_many_symbols(device, rows, monkeypatch):

@@ -30,8 +30,11 @@ def train(device, dataset, steps, **changes):
     return trainer, results
 
 
+@pytest.mark.slow
 @pytest.mark.family("N28")
-@pytest.mark.parametrize(("specialisation", "seed"), [("cpu", 0), ("gpu", 1)])
+@pytest.mark.parametrize(
+    ("specialisation", "seed"), [("cpu", 0), pytest.param("gpu", 1, marks=pytest.mark.slow)]
+)
 def test_every_gradient_is_finite(open_device, dataset, specialisation, seed):
     steps = 120
     if specialisation == "gpu":  # slow where the device is a CPU
@@ -63,7 +66,7 @@ def test_shapes_without_thickness(open_device, dataset):
 
 
 @pytest.mark.family("N17")
-@pytest.mark.parametrize("specialisation", ["cpu", "gpu"])
+@pytest.mark.parametrize("specialisation", ["cpu", pytest.param("gpu", marks=pytest.mark.slow)])
 def test_training_goes_on_with_nothing_visible(open_device, dataset, specialisation):
     device = open_device(specialisation)
     away = [

@@ -37,6 +37,7 @@ def library(tmp_path_factory):
     return native.build(tmp_path_factory.mktemp("native"), COMPILER)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", ["fast", "default", "max", "paper"])
 @pytest.mark.parametrize("chunk", [16, 65_536])
 def test_the_integers_are_those_of_the_file(library, level, chunk):
@@ -186,6 +187,7 @@ def assert_anchors(page, scene):
     assert sorted(map(tuple, found.tolist())) == sorted(map(tuple, wanted.tolist()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chunk", [32, 65_536])
 def test_layers_are_shown_while_they_come(library, chunk):
     data = encode(random_scene(np.random.default_rng(4), 1500), chunk=chunk, layers=4)

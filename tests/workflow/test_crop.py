@@ -108,6 +108,7 @@ def test_masks_keep_the_object(scene, tmp_path, open_device):
     assert found.views == 3
 
 
+@pytest.mark.slow
 def test_what_few_photos_show_goes(scene, tmp_path, open_device):
     data = write_scene(tmp_path / "data", size=64)
     views = ViewOptions(data=data, device=open_device("cpu").name)

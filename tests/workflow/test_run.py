@@ -58,6 +58,7 @@ def test_a_folder_in_use_is_left_alone(data, tmp_path, capsys):
     lock.release()
 
 
+@pytest.mark.slow
 def test_plan_alone_writes_nothing(data, tmp_path, capsys):
     assert cli.main(words(data, tmp_path / "out", "--plan")) == 0
     printed = capsys.readouterr().out
@@ -143,6 +144,7 @@ def test_a_run_without_its_plan_is_refused(data, finished, capsys):
     plan.write_text(text)
 
 
+@pytest.mark.slow
 def test_what_is_lacking_is_made_again_and_its_time_is_added(data, finished, capsys):
     before = json.loads((finished / "plan.json").read_text())["seconds"]
     splats = (finished / "scene.ply").read_bytes()
@@ -176,6 +178,7 @@ def test_what_a_run_made_knows_its_photos(finished, name, capsys):
     assert scores["psnr"] == pytest.approx(psnr, abs=1.5 if name == "scene.ply" else 0)
 
 
+@pytest.mark.slow
 def test_the_folder_of_a_run_is_written_as_its_scene(finished, tmp_path):
     assert cli.main(["encode", str(finished), "-o", str(tmp_path / "x.clgs")]) == 0
     assert (tmp_path / "x.clgs").read_bytes() == (finished / "scene.clgs").read_bytes()
@@ -330,6 +333,7 @@ def test_contradiction_is_refused(data, tmp_path, capsys):
     assert "give one" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_failing_stage_ends_the_run_and_passes_its_exit_code_on(
     data, tmp_path, monkeypatch, capsys
 ):
@@ -367,6 +371,7 @@ def test_a_failing_export_does_not_end_the_run(data, tmp_path, monkeypatch, caps
     assert "clgs: error: no scene.html\n" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("instant", ["[train]", ""], ids=["training", "plan"])
 def test_warning_and_interruption_are_shown_once(tmp_path, instant):
     data = write_scene(tmp_path / "data", train=6, test=2)

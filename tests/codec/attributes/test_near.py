@@ -88,6 +88,7 @@ def test_both_decoders_read_near_rows(level: str) -> None:
     np.testing.assert_array_equal(reader.decode(chunk, len(rows), plain), rows)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chunk", [16, 65536])
 def test_a_smooth_scene_is_read_by_the_document(chunk: int) -> None:
     scene = smooth_scene(16)

@@ -31,6 +31,7 @@ CODERS = {
 MANY = pytest.mark.parametrize(("encode", "decode"), CODERS.values(), ids=CODERS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ATTRIBUTES)
 def test_size_is_that_of_the_published_coder(name, shared_data):
     """Within 1 %: the structure is the same, only the speed of adaptation is our own."""

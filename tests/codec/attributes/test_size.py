@@ -31,6 +31,7 @@ def size(value: np.ndarray, level: str, chunk: int = row_coder.CHUNK) -> int:
     return len(model.header) + sum(len(model.encode(part)) for part in parts)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BASELINE)
 def test_default(name, shared_data):
     assert size(load(name, shared_data), "default") <= LIMIT[name] * BASELINE[name]

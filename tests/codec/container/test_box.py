@@ -72,6 +72,7 @@ def test_nothing_in_the_box(file):
     assert_same(part, expected(decode(file), Box((1e9, 0, 0), (2e9, 1, 1))))
 
 
+@pytest.mark.slow
 def test_only_what_is_needed_is_read_and_checked(file, rng):
     points = world(decode(file))
     box = Box((-np.inf,) * 3, (float(np.quantile(points[:, 0], 0.1)), np.inf, np.inf))

@@ -22,6 +22,7 @@ from tests.codec.scenes import GOLDEN, assert_same
 CHUNKED = (GOLDEN / "chunks.clgs").read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chunk", [16, 65, 1024, 2**20])
 def test_every_chunk_size(scene, sorted_scene, chunk):
     data = encode(scene, chunk=chunk)
@@ -32,6 +33,7 @@ def test_every_chunk_size(scene, sorted_scene, chunk):
     assert count <= 1 or count <= 4 * len(scene.anchors) / chunk
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", ["fast", "default", "max", "paper"])
 def test_no_byte_depends_on_the_threads(scene, level):
     data = encode(scene, level, chunk=128, threads=1)

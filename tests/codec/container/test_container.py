@@ -102,6 +102,7 @@ def test_one_byte_more_or_less_in_a_section_is_refused_even_with_right_checksums
                 decode(rebuilt(FILE, **{tag: changed}))
 
 
+@pytest.mark.slow
 def test_random_damage_with_right_checksums_is_refused(rng):
     sections = contents(FILE)
     for _ in range(60):

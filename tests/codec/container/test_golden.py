@@ -23,6 +23,7 @@ def test_the_files_are_those_of_the_list():
     assert {name.removesuffix(".clgs") for name in HASHES} == set(SCENES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_the_files_are_made_and_read_bit_for_bit(name):
     """A change of the format before its release: make the files again, scripts/make_golden.py."""

@@ -20,6 +20,7 @@ from tests.codec.samples import sealed
 from tests.codec.scenes import GOLDEN, ROOT
 
 
+@pytest.mark.slow
 def test_seeded_damage_with_right_checksums_is_an_error_or_decodes():
     outcomes = [
         attempt(case)[0]
@@ -78,6 +79,7 @@ def test_declared_counts_take_no_memory(name):
     assert peak_memory(refused, data) <= ROOM
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", ["fast", "default", "max", "paper"])
 def test_memory_of_decoding_is_bounded_by_the_output(level):
     """Also of what is coded in next to no bytes: 200,000 equal rows."""

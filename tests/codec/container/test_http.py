@@ -22,6 +22,7 @@ def data():
     return data
 
 
+@pytest.mark.slow
 def test_a_scene_its_layers_and_a_box_of_it(data):
     box = Box((-np.inf,) * 3, (-0.02, np.inf, np.inf))
     with serve({"s.clgs": data, "plain.clgs": encode(decode(data))}) as url:
@@ -63,6 +64,7 @@ def test_servers_and_addresses_that_do_not_serve(data):
         decode("scene.clgs")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["pieces", "leaving"])
 def test_answers_in_pieces_and_connections_that_end_serve(data, way):
     box = Box((-np.inf,) * 3, (-0.02, np.inf, np.inf))

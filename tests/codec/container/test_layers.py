@@ -33,6 +33,7 @@ def ends(data):
     return [layer["end"] for layer in describe(data)["layers"]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("layers", "chunk"), [(1, None), (2, 16), (5, None), (64, 16)])
 def test_layers_are_the_same_scene(scene, sorted_scene, layers, chunk):
     data = encode(scene, chunk=chunk, layers=layers)
@@ -47,6 +48,7 @@ def test_layers_are_the_same_scene(scene, sorted_scene, layers, chunk):
     assert describe(data)["version"] == "1.2"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", ["fast", "default", "max", "paper"])
 def test_no_byte_depends_on_the_threads(scene, sorted_scene, level):
     data = encode(scene, level, chunk=128, threads=1, layers=3)

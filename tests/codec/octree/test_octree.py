@@ -150,6 +150,7 @@ def test_noise_ends_with_an_error_or_with_points_in_order(payload, depth, count)
     assert octree.ascends(octree.morton_codes(with_origin)[1:])
 
 
+@pytest.mark.slow
 @settings(max_examples=80, deadline=None)
 @given(st.integers(0, 10**6), st.integers(0, 7))
 def test_flipped_bits_do_no_harm(place, bit):

@@ -43,6 +43,7 @@ def test_geometric_mean(shared_data):
     assert np.exp(np.log(ratios).mean()) <= 0.98
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", marked(POSITIONS))
 @pytest.mark.parametrize("chunk", CHUNKS)
 def test_chunks(name, chunk, shared_data):

@@ -147,6 +147,7 @@ def test_truncations_are_found(tmp_path, name):
             read_binary(file.parent)
 
 
+@pytest.mark.slow
 def test_bit_flips_are_refused_or_harmless(tmp_path, rng):
     """A damaged model is refused with a DataError, or has finite poses and points."""
     write_colmap(tmp_path)

@@ -40,6 +40,7 @@ def load_alike(one: Path, other: Path):
     return first, second, list(pairs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", OTHERS)
 def test_cameras_and_photos_are_those_of_the_colmap_form(tmp_path, form):
     capture = capture_of(tmp_path, form)
@@ -79,6 +80,7 @@ def test_fisheye_photos_show_the_chosen_view(tmp_path):
         load_dataset(root, fisheye_view=5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", OTHERS)
 def test_the_same_picture_is_rendered(tmp_path, form, open_device):
     capture = capture_of(tmp_path, form)

@@ -43,6 +43,7 @@ _PLACE = st.integers(-(2**31), 2**31 - 1) | st.integers(2**23 - 9, 2**25)
 _Q = st.floats(2.0**-64, 2.0**64) | st.floats(0.01, 1000) | st.sampled_from([200.0, 1 / 3, 8.0])
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(st.lists(_PLACE, min_size=1, max_size=12), st.tuples(_Q, _Q, _Q, _Q), st.booleans())
 def test_every_integer_of_every_q_comes_back(places, q, quantized):

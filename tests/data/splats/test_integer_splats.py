@@ -132,6 +132,7 @@ def test_resolution():
     assert resolution(np.linspace(-1e6, 1e6, 1000), np.dtype("f4")) < 0.01
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(
     st.lists(

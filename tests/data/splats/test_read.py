@@ -230,6 +230,7 @@ def test_an_image_that_unpacks_to_gigabytes_is_refused(tmp_path):
         load_splats(tmp_path / "s.sog")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("place", "value", "said"),
     [

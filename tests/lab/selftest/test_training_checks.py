@@ -12,8 +12,9 @@ NOT_CHECKED = {"limits/limits", "scan/fits", "blend/sums", "tiles/by_row"}
 """Programs of `clgs bench`, of limited memory, of counts of importance, and of long lists."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 4, 5, 6, 11, 12, 100])
-@pytest.mark.parametrize("specialisation", ["cpu", "gpu"])
+@pytest.mark.parametrize("specialisation", ["cpu", pytest.param("gpu", marks=pytest.mark.slow)])
 def test_few_numbers_are_enough(open_device, specialisation, count):
     found = list(training_checks(open_device(specialisation), count))
     stages = {"scan", "sort", "quantize", "rate", "adam", "density", "growth", "exposure"}
@@ -22,7 +23,7 @@ def test_few_numbers_are_enough(open_device, specialisation, count):
     assert [check for check in found if not check.passed] == []
 
 
-@pytest.mark.parametrize("specialisation", ["cpu", "gpu"])
+@pytest.mark.parametrize("specialisation", ["cpu", pytest.param("gpu", marks=pytest.mark.slow)])
 def test_a_kernel_of_every_program_is_checked(open_device, specialisation, monkeypatch):
     device, used = open_device(specialisation), set()
     find = device.kernel

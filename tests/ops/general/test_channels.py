@@ -68,6 +68,7 @@ def expected(values, background, with_depth, alpha_max):
     return image, left, gradients
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("colors", "with_depth", "absolute", "groups"),
     [

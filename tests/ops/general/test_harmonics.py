@@ -16,6 +16,7 @@ def packed(centre):
     return camera
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("degree", "rows", "bare"),
     [

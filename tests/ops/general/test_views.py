@@ -49,6 +49,7 @@ def on_device(device, values, by_covariance):
     return views.Splats(mean, shape, rotation, opacity)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("model", "compensated", "by_covariance"),
     [
@@ -117,6 +118,7 @@ def test_agrees_with_reference(device, rng, model, compensated, by_covariance):
         assert relative_l2(device.download(made.d_rotation), d_rotation) < 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by_covariance", [False, True])
 def test_what_gets_no_gradient_has_zeros_without_a_sign(device, rng, by_covariance):
     """Compilers may choose the sign of a zero that a formula gives: Mesa's chooses another."""
@@ -139,6 +141,7 @@ def test_what_gets_no_gradient_has_zeros_without_a_sign(device, rng, by_covarian
             assert not device.download(array).view(np.uint32).any(), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by_covariance", [False, True])
 def test_a_fisheye_sees_the_axis_and_almost_90_degrees(device, rng, by_covariance):
     """Points on the axis, close to it, at 45 degrees and far beyond; what is behind is culled."""

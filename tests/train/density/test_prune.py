@@ -100,6 +100,7 @@ def test_pruning_everything_is_an_error(device):
         prune(device, state, CONFIG)
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_rows_stay_together_through_a_whole_step(device, seed):

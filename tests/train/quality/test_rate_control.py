@@ -91,6 +91,7 @@ def test_importance_is_the_same_every_time(device, seen):
     assert (first >= 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.95, 0.75])
 def test_a_size_is_met_and_the_useful_kept(device, seen, share):
     scene, view = seen
@@ -130,6 +131,7 @@ def test_a_psnr_is_kept_with_fewer_anchors(device, seen):
         reduce_to_psnr(scene, whole + 0.1, fast, judge)
 
 
+@pytest.mark.slow
 def test_the_same_bytes_every_time(device, seen):
     scene, view = seen
     target = int(0.8 * len(fast(scene)))

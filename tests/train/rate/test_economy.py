@@ -45,6 +45,7 @@ def test_without_lambda_there_are_no_rounds(untouched):
     assert found == FINE_Q
 
 
+@pytest.mark.slow
 def test_without_lambda_pictures_are_not_worse(cpu, dataset, untouched):
     """Once they were: anchors were rounded as in the paper, far coarser than any price chose."""
     priced = trained(cpu, dataset, size_lambda=0.05)
@@ -70,6 +71,7 @@ def test_lambda_trades_size_for_quality(cpu, dataset, untouched):
     assert all(one.before == one.after for one in ended)
 
 
+@pytest.mark.slow
 def test_a_single_view_is_judged_in_every_round(cpu, dataset):
     alone = replace(dataset, train=dataset.train[:1])
     trainer = trained(cpu, alone, size_lambda=1.0)
@@ -91,6 +93,7 @@ def first_round(cpu, dataset, most: float, monkeypatch) -> tuple[float, float]:
     return done.price, compare(cpu, trainer.config, scene, rounds.views)[0]
 
 
+@pytest.mark.slow
 def test_the_first_round_loses_no_more_than_is_allowed(cpu, dataset, monkeypatch):
     price, whole = first_round(cpu, dataset, 10.0, monkeypatch)
     _, least = first_round(cpu, dataset, 0.0, monkeypatch)
@@ -117,6 +120,7 @@ def test_training_repairs_what_rounds_do_unless_a_size_must_be_met(cpu, dataset,
     assert last == settings.freeze_step if size else last <= settings.freeze_step - 18
 
 
+@pytest.mark.slow
 def test_anchors_rest_in_the_end(cpu, dataset):
     trainer = Trainer(cpu, dataset, config(dataset))
     for _ in trainer.steps(trainer.config.freeze_step + 1):
@@ -136,6 +140,7 @@ def test_a_size_is_met_and_never_exceeded(cpu, dataset, untouched, share):
     assert 0.98 * target <= size <= target
 
 
+@pytest.mark.slow
 def test_a_size_bounds_the_anchors_and_thinning_leaves_as_many_as_it_holds(cpu, dataset):
     target = 40_000
     settings = config(dataset, target_size=target)
@@ -164,6 +169,7 @@ def test_most_anchors(steps, values, most):
     assert replace(TrainConfig().scaled(steps), **values).most_anchors == most
 
 
+@pytest.mark.slow
 def test_growth_stops_at_the_most_anchors(cpu, dataset, untouched):
     most = untouched.parameters.count - 100
     trainer = Trainer(cpu, dataset, config(dataset, max_anchors=most, size_lambda=0.0))
@@ -171,6 +177,7 @@ def test_growth_stops_at_the_most_anchors(cpu, dataset, untouched):
     assert max(counts) <= most
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "moment",
     ["before anchors go", "before the first round", "after it", "between tables", "among means"],
@@ -191,6 +198,7 @@ def test_resumes_to_the_bit(cpu, dataset, tmp_path, moment):
     assert encode(whole.quantized_scene()) == encode(other.quantized_scene())
 
 
+@pytest.mark.slow
 def test_runs_too_short_for_rounds_meet_the_size_too(cpu, dataset, tmp_path):
     settings = replace(preset("default").scaled(1), voxel=0.02, target_size=16_000)
     result = train_scene(dataset, tmp_path, settings, device=cpu)

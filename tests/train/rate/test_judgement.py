@@ -48,6 +48,7 @@ def picture(device: Device, scene: Scene, view: View) -> np.ndarray:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["offset", "feature", "scaling"])
 def test_curvature_is_the_squared_length_of_the_derivative(device, seen, name):
     scene, view = seen

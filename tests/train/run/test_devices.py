@@ -55,6 +55,7 @@ def trained(settings, dataset, devices, steps):
     return results, arrays_of(first, state), (state.views.record(), state.rng.bit_generator.state)
 
 
+@pytest.mark.slow
 def test_masked_views_on_small_photos_in_groups_have_the_same_bits(dataset, cpu, halves):
     """The host waits within a look for what groups of tiles need."""
     mask = np.ones((40, 40), np.uint8)
@@ -68,6 +69,7 @@ def test_masked_views_on_small_photos_in_groups_have_the_same_bits(dataset, cpu,
     assert trained(settings, dataset, [cpu], 52)[1] != wanted[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes", [{}, {"exposure": True, "adam": "visible"}], ids=["usual", "exposure"]
 )
@@ -85,6 +87,7 @@ def test_a_step_has_the_same_bits_wherever_it_looks(dataset, cpu, halves, change
     assert all(result.view.count(", ") == 1 for result in wanted[0])
 
 
+@pytest.mark.slow
 def test_views_are_dealt_to_the_devices_that_are_named(dataset, cpu, halves, monkeypatch):
     settings, (left, right), seen = config(dataset, batch=5), halves, []
     enqueue = look.Looks.enqueue
@@ -133,6 +136,7 @@ def test_the_mean_gradient_moves_the_scene_as_adam_does(dataset, cpu):
     assert second[seen] == pytest.approx(moments[1][seen], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_steps_that_lack_room_on_any_device_are_repeated(dataset, cpu, halves):
     settings = config(dataset, background="random")
     wanted = trained(settings, dataset, [cpu], 40)
@@ -191,6 +195,7 @@ train_scene(load_dataset(data), run, from_toml(settings), devices=devices, on_pr
 """
 
 
+@pytest.mark.slow
 def test_a_killed_run_ends_in_the_same_file_on_other_devices(cpu, halves, tmp_path):
     data = write_scene(tmp_path / "data")
     dataset = load_dataset(data)
@@ -241,6 +246,7 @@ def test_devices_that_cannot_be_used_are_one_line(dataset, open_device, tmp_path
     assert not run.exists()
 
 
+@pytest.mark.slow
 def test_the_command_trains_on_a_device_named_twice(tmp_path, capsys):
     data = write_scene(tmp_path / "data")
     base = ["train", str(data), "--steps", "12", "--set", "voxel=0.05", "--start-points", "500"]

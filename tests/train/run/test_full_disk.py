@@ -79,6 +79,7 @@ def steps(folder):
     return [int(path.stem[5:]) for path in sorted((folder / "checkpoint").glob("step_*.npz"))]
 
 
+@pytest.mark.slow
 def test_training_goes_on_and_the_next_try_comes_sooner(
     disk, train, whole, tmp_path, monkeypatch, caplog
 ):
@@ -92,6 +93,7 @@ def test_training_goes_on_and_the_next_try_comes_sooner(
     assert said.endswith("training goes on and tries again")
 
 
+@pytest.mark.slow
 def test_a_trained_scene_waits_for_room(disk, train, whole, caplog):
     result = train(disk.between(11, 99))
     assert disk.waits == 3
@@ -101,6 +103,7 @@ def test_a_trained_scene_waits_for_room(disk, train, whole, caplog):
     assert "up to 10 minutes" in last
 
 
+@pytest.mark.slow
 def test_without_room_the_last_checkpoint_is_named_and_resumed(
     disk, train, whole, tmp_path, monkeypatch
 ):
@@ -117,6 +120,7 @@ def test_without_room_the_last_checkpoint_is_named_and_resumed(
     assert result.bitstream == whole
 
 
+@pytest.mark.slow
 def test_results_without_room_cost_no_training(disk, train, whole, monkeypatch):
     """The last step is in a checkpoint: nothing to wait for."""
     with monkeypatch.context() as patch:
@@ -134,6 +138,7 @@ def no_room(path, scene):
     raise OSError(errno.ENOSPC, "No space left on device", str(path))
 
 
+@pytest.mark.slow
 def test_other_faults_are_not_waited_for(disk, train, monkeypatch):
     def broken(path, scene):
         raise OSError(errno.EIO, "Input/output error", str(path))
@@ -173,6 +178,7 @@ def take_all(path):
             file.write(bytes(4096))
 
 
+@pytest.mark.slow
 def test_a_file_system_that_really_fills_up(small_disk, train, whole, monkeypatch):
     monkeypatch.setattr(full_disk, "WAIT_SECONDS", 0.0)
     run, ballast = small_disk / "run", small_disk / "ballast"

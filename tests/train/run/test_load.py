@@ -22,6 +22,7 @@ from tests.data.folders import (
 )
 
 
+@pytest.mark.slow
 def test_points_are_triangulated_once(tmp_path):
     pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
     write_room(tmp_path / "data", 6)
@@ -70,6 +71,7 @@ def test_blender_points_are_carved_and_seeded(tmp_path):
     assert not np.array_equal(with_points(read, TrainConfig(seed=1)).points, data.points)
 
 
+@pytest.mark.slow
 def test_photos_that_do_not_match_start_from_random_points(tmp_path):
     pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
     write_transforms(tmp_path)
@@ -89,6 +91,7 @@ def turn_around(document: dict) -> None:
         frame["transform_matrix"] = matrix.tolist()
 
 
+@pytest.mark.slow
 def test_photos_from_the_middle_outwards_start_from_what_two_see(tmp_path, monkeypatch):
     monkeypatch.setattr(load, "triangulate", no_points)
     document = write_transforms(tmp_path, 40)
@@ -122,6 +125,7 @@ def test_a_single_training_photo_starts_from_random_points(tmp_path, caplog):
     assert warning.endswith("starting from random ones: a single photo gives no depth")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [0, 3])
 def test_a_model_of_few_points_starts_from_random_ones(tmp_path, caplog, count):
     pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")

@@ -64,6 +64,7 @@ def test_a_finished_run_is_read_and_left_alone(finished, dataset, open_device, m
     assert again.summary["psnr"] == finished.summary["psnr"]
 
 
+@pytest.mark.slow
 def test_the_command_says_that_a_run_is_finished(data, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("clgs.data.points.HULL_POINTS", 3000)  # for speed
     command = ["train", str(data), "-o", str(tmp_path / "run"), "--steps", "3", "--resume"]
@@ -81,6 +82,7 @@ def test_the_command_says_that_a_run_is_finished(data, tmp_path, monkeypatch, ca
     assert files(tmp_path / "run") == before
 
 
+@pytest.mark.slow
 def test_another_data_set_is_refused_before_it_is_read(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("clgs.data.points.HULL_POINTS", 3000)  # for speed
     pair = tmp_path / "pair"
@@ -205,6 +207,7 @@ def test_the_least_budget_of_all_views_is_named(finished, data, tmp_path, capsys
     assert len(list(pictures.iterdir())) == 3
 
 
+@pytest.mark.slow
 def test_the_smallest_anchor_is_that_of_the_run_unless_another_is_named(
     data, dataset, open_device, tmp_path
 ):
@@ -261,6 +264,7 @@ def test_a_folder_is_held_until_it_is_released(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 @no_windows
 def test_a_killed_process_lets_go(tmp_path):
     command = [sys.executable, "-c", HOLDER, str(tmp_path)]
@@ -273,6 +277,7 @@ def test_a_killed_process_lets_go(tmp_path):
     FolderLock(tmp_path).release()
 
 
+@pytest.mark.slow
 @no_windows
 def test_a_run_that_goes_on_is_left_alone(dataset, open_device, tmp_path):
     device, run = open_device("cpu"), tmp_path / "run"

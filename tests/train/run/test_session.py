@@ -35,6 +35,7 @@ def interrupt_at(step):
     return on_progress
 
 
+@pytest.mark.slow
 def test_interrupted_runs_end_alike(dataset, open_device, tmp_path):
     device = open_device("cpu")
     whole = train_scene(dataset, tmp_path / "whole", config(), device=device)
@@ -116,6 +117,7 @@ def test_what_cannot_be_trained_on_is_said(dataset, open_device, first, tmp_path
     assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.slow
 def test_progress_without_views_holds_no_psnr(dataset, open_device, tmp_path):
     few = replace(preset("default").scaled(12), voxel=0.05, log_interval=4, fixed_views=0)
     seen = []
@@ -125,6 +127,7 @@ def test_progress_without_views_holds_no_psnr(dataset, open_device, tmp_path):
         assert "nan" not in (tmp_path / "run" / name).read_text().lower(), name
 
 
+@pytest.mark.slow
 def test_a_run_is_replaced_only_if_asked_for_and_leaves_no_mixture(dataset, open_device, tmp_path):
     folder, device = tmp_path / "run", open_device("cpu")
     train_scene(dataset, folder, config().scaled(6), device=device)

@@ -24,7 +24,7 @@ def parameters(trainer):
     return {name: device.download(array) for name, array in scene.items()}
 
 
-@pytest.mark.parametrize("specialisation", ["cpu", "gpu"])
+@pytest.mark.parametrize("specialisation", ["cpu", pytest.param("gpu", marks=pytest.mark.slow)])
 def test_learns_grows_and_quantises(dataset, open_device, specialisation):
     steps = STEPS if specialisation == "cpu" else 40
     trainer = Trainer(open_device(specialisation), dataset, config(dataset))
@@ -64,6 +64,7 @@ def test_non_finite_loss_leaves_parameters_alone(dataset, cpu):
     assert trainer.steps_done == 1
 
 
+@pytest.mark.slow
 def test_coarser_position_grid_merges_at_the_switch(dataset, cpu):
     trainer = Trainer(cpu, dataset, config(dataset, position_q=10.0, size_lambda=0.0))
     counts = [trainer.step().anchors for _ in range(STEPS // 2 + 1)]
@@ -73,6 +74,7 @@ def test_coarser_position_grid_merges_at_the_switch(dataset, cpu):
     assert np.array_equal(position, (np.rint(position * 10) / 10).astype(np.float32))
 
 
+@pytest.mark.slow
 def test_visible_adam_leaves_unseen_rows_alone(dataset, cpu):
     one, dense = (
         Trainer(cpu, dataset, config(dataset, adam=kind)) for kind in ("visible", "dense")
@@ -95,6 +97,7 @@ def test_visible_adam_leaves_unseen_rows_alone(dataset, cpu):
     assert not np.array_equal(after[seen[:50]], before[seen[:50]])
 
 
+@pytest.mark.slow
 def test_savings_count_no_more_than_all(dataset, cpu):
     trainer = Trainer(cpu, dataset, config(dataset))
     list(trainer.steps(12))

@@ -271,6 +271,7 @@ for step in range(10**6):
 """
 
 
+@pytest.mark.slow
 def test_killed_while_writing(tmp_path):
     """What the killed process had reported as saved is there, or something later."""
     for wait in range(4):

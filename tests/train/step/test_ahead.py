@@ -33,7 +33,8 @@ def assert_same_state(first, second):
         assert np.array_equal(mine, theirs, equal_nan=True)
 
 
-@pytest.mark.parametrize("specialisation", ["cpu", "gpu"])
+@pytest.mark.slow
+@pytest.mark.parametrize("specialisation", ["cpu", pytest.param("gpu", marks=pytest.mark.slow)])
 def test_steps_that_lack_room_are_repeated(dataset, open_device, specialisation):
     device, count = open_device(specialisation), 130
     if specialisation == "gpu":  # slow where the device is a CPU
@@ -53,6 +54,7 @@ def test_steps_that_lack_room_are_repeated(dataset, open_device, specialisation)
     assert ahead.state.rng.bit_generator.state == waiting.state.rng.bit_generator.state
 
 
+@pytest.mark.slow
 def test_stopping_finishes_what_began(dataset, cpu):
     waiting, ahead = (trainer(cpu, dataset, mode) for mode in (False, True))
     seen = []

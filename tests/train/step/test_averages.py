@@ -29,6 +29,7 @@ def followed(cpu, dataset, **changes):
     return trainer, seen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("price", [0.0, 0.3])
 def test_they_end_with_means(cpu, dataset, price):
     trainer, seen = followed(cpu, dataset, size_lambda=price)
@@ -43,6 +44,7 @@ def test_they_end_with_means(cpu, dataset, price):
     assert np.abs(end["weights"] - before).max() < np.abs(seen[-2]["weights"] - before).max()
 
 
+@pytest.mark.slow
 def test_without_means_they_end_with_the_last_step(cpu, dataset):
     trainer, seen = followed(cpu, dataset, average=False)
     frozen = seen[trainer.config.freeze_step - 1]
@@ -50,6 +52,7 @@ def test_without_means_they_end_with_the_last_step(cpu, dataset):
     assert not trainer.state.means.tensors
 
 
+@pytest.mark.slow
 def test_steps_ahead_change_no_bit(cpu, dataset):
     ends = []
     for ahead in (True, False):

@@ -35,6 +35,7 @@ def weights(one):
     return one.device.download(one.parameters.scene.weights)
 
 
+@pytest.mark.slow
 def test_only_the_anchors_in_the_box_learn_come_and_go(dataset, cpu):
     one = trainer(cpu, dataset, box=LEFT, scaling_cap=-4.0)  # which many exceed
     before, mlps = rows(one), weights(one)

@@ -69,6 +69,7 @@ def state(one):
     return [one.device.download(array).tobytes() for array in arrays]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("optimizer", ["device", "numpy"])
 def test_a_resumed_run_learns_the_same(cpu, uneven, tmp_path, optimizer):
     whole, first, second = (
@@ -93,6 +94,7 @@ def test_a_gradient_that_is_not_finite_changes_no_map(cpu, uneven):
     assert state(one) == before
 
 
+@pytest.mark.slow
 def test_steps_that_lack_room_are_repeated_with_their_exposures(cpu, uneven):
     waiting, ahead = (trainer(cpu, uneven, exposure=True) for _ in range(2))
     waiting._ahead = False

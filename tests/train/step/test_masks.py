@@ -53,6 +53,7 @@ def trained(cpu, dataset, **changes):
     return results, {name: cpu.download(array).tobytes() for name, array in scene.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("exposure", [False, True])
 def test_what_is_hidden_changes_no_bit(dataset, cpu, half, exposure):
     first, second = (
@@ -61,6 +62,7 @@ def test_what_is_hidden_changes_no_bit(dataset, cpu, half, exposure):
     assert first == second
 
 
+@pytest.mark.slow
 def test_a_white_mask_gives_the_bits_of_none(dataset, cpu):
     ones = np.ones((40, 40), np.uint8)
     assert trained(cpu, masked(dataset, ones)) == trained(cpu, dataset)
@@ -74,6 +76,7 @@ def test_a_mask_is_part_of_what_a_run_is(dataset, half):
     assert len(digests) == 3
 
 
+@pytest.mark.slow
 def test_scores_do_not_see_what_is_hidden(dataset, cpu, half):
     trainer = Trainer(cpu, dataset, config(dataset))
     for _ in range(20):

@@ -108,6 +108,7 @@ def config(optimizer, rows):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", ["dense", "visible"])
 def test_a_run_has_the_same_bits(dataset, cpu, tmp_path, rng, rows):
     if not rounds_correctly(cpu, rng):

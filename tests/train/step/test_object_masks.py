@@ -125,6 +125,7 @@ def test_gradients_match_float64(cpu):
         assert relative_l2(cpu.download(getattr(gradients, name)), wanted) <= 1e-5, name
 
 
+@pytest.mark.slow
 def test_haze_around_the_object_goes(dataset, cpu):
     """Opacity where held-out photos show nothing, after the same steps with either meaning."""
     opacities = {}
