@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -46,16 +47,27 @@ MOST_UNIT = 2.0
 
 MOST_REST = 3 * ((MAX_DEGREE + 1) ** 2 - 1)
 
-_MODE = re.compile(
-    r"(?:[\w.]+[.])?(?:splat)?[\s_-]?(?:render|raster(?:i[sz](?:er?|ation))?)[\s_-]?mode"
-    r"\s*[:=\s]\s*(\w+)",
-    re.ASCII,
+_RENDER_MODE = r"(?:render|raster(?:i[sz](?:er?|ation))?)[\s_-]?mode"
+_NAME = r"(?:anti[\s_-]?alias(?:ed|ing)?|mip[\s_-]?splat(?:s|ting)?)"
+_SAYS = r"(?:\s*[:=]\s*|\s+(?:(?:is|was)\s+)?)"
+_MODES = {"mip": True, "antialiased": True} | dict.fromkeys(
+    ("default", "classic", "standard", "normal", "none", "2dgs", "3dgs"), False
 )
-_SWITCH = re.compile(
-    r"(?:[\w.]+[.]|--)?(?:anti[\s_-]?alias(?:ed|ing)?|mip[\s_-]?splat(?:s|ting)?)"
-    r"(?:\s*[:=\s]\s*([\w.]+))?",
-    re.ASCII,
+_VALUES = dict.fromkeys(("1", "1.0", "true", "yes", "on", "enabled"), True) | dict.fromkeys(
+    ("0", "0.0", "false", "no", "off", "disabled", "none", "null"), False
 )
+
+
+def _said(key: str, values: Iterable[str]) -> str:
+    words = "|".join(map(re.escape, sorted(values, key=len, reverse=True)))
+    return rf"(?<![\w-])(?:--)?{key}{_SAYS}({words})(?!\w|[.-]\w)"
+
+
+_MARKS = re.compile(
+    _said(rf"(?:splat[\s_-]?)?{_RENDER_MODE}", _MODES) + "|" + _said(_NAME, _VALUES), re.ASCII
+)
+_ALONE = re.compile(rf"(?:[\w.]+[.]|--)?{_NAME}|.*?\s--{_NAME}(?:\s+-.*)?", re.ASCII)
+_SUBJECT = re.compile(rf"{_NAME}|{_RENDER_MODE}\s*[:=]", re.ASCII)
 _CLAUSES = re.compile(r"[;,{}]")
 _log = logging.getLogger(__name__)
 
@@ -85,28 +97,32 @@ def read_splat_table(path: Path) -> PlyTable:
         else:
             table = parse_ply(data)
         columns = dict(table.columns)
-        antialiased = is_antialiased(table.comments) or bool(
-            ANTIALIASED in columns and np.any(columns.pop(ANTIALIASED))
-        )
+        marked = is_antialiased(table.comments)
+        antialiased = bool(marked or np.any(columns.pop(ANTIALIASED, 0)))
         if "opacity" in columns and FEATURE_OF_ANCHORS not in columns:
             antialiased |= _as_3dgs(columns, path)
+        unclear = [c for c in table.comments if _SUBJECT.search(c.lower())]
+        if unclear and marked is None and not antialiased:
+            text = "%s: comment %r: unclear whether splats are antialiased; drawn as if not"
+            _log.warning(f"{text}; 'comment antialiased 1' or 0 says so", path, unclear[0][:80])
     world = [text] if (text := to_text(*from_text(table.comments))) else []
     return PlyTable(columns, [MARK] * antialiased + world)
 
 
-def is_antialiased(comments: list[str]) -> bool:
+def is_antialiased(comments: list[str]) -> bool | None:
     """Whether comments of a PLY file say that the splats were trained with antialiasing.
 
     Brush, gsplat and splat-transform write a mode, Postshot and others a switch, Mip-Splatting's
-    users its name; the last counts. A comment may hold several such clauses.
+    users its name; the last counts. A comment may hold several of them, and other words. None: no
+    comment speaks of it, or only in words that may mean either.
     """
-    found = False
+    found = None
     for clause in _CLAUSES.split(";".join(comments)):
         words = clause.replace('"', "").replace("'", "").strip().lower()
-        if mode := _MODE.fullmatch(words):
-            found = mode[1] in ("mip", "antialiased")
-        elif switch := _SWITCH.fullmatch(words):
-            found = switch[1] in (None, "1", "1.0", "true", "yes", "on", "enabled")
+        if _ALONE.fullmatch(words):
+            found = True
+        for mode, switch in _MARKS.findall(words):
+            found = _MODES[mode] if mode else _VALUES[switch]
     return found
 
 

@@ -202,6 +202,15 @@ def test_a_filter_widens_splats_and_keeps_their_light(tmp_path, rng):
         (["splat render mode: mip"], True),
         (["anti aliased 1.0"], True),
         (["--antialiasing"], True),
+        (["antialiased=1 sh=3"], True),
+        (["sh=3 antialiased: false steps=7"], False),
+        (["app.version 2 app.antialias=on"], True),
+        (["train.py -m out --antialiasing --iterations 7000"], True),
+        (["train.py --no-antialiasing"], False),
+        (["Trained for 30 minutes. Antialiasing was enabled."], True),
+        (["rasterize_mode=antialiased sh_degree=3"], True),
+        (["antialiased 1", "rasterize_mode=classic sh_degree=3"], False),
+        (["antialiased 1", "SplatRenderModes and others"], True),
     ],
 )
 def test_marks_of_antialiased_splats(tmp_path, rng, comments, antialiased):
@@ -216,6 +225,28 @@ def test_marks_of_antialiased_splats(tmp_path, rng, comments, antialiased):
     path.write_bytes(write_splats(unpack(packed.read_bytes())))
     assert load_splats(path).gaussians.antialiased == antialiased
     assert "antialiased" not in read_ply(path).columns
+
+
+@pytest.mark.parametrize(
+    "comment",
+    [
+        "antialiasing is good",
+        "trained without mip-splatting",
+        "no-antialiasing=1",
+        "antialiased 0.3",
+        "SplatRenderMode: surfels",
+    ],
+)
+def test_a_comment_that_may_mean_either_is_told(tmp_path, rng, caplog, comment):
+    path = tmp_path / "s.ply"
+    columns = columns_of(stored(rng, 5))
+    path.write_bytes(pack_ply(PlyTable(columns, [comment])))
+    assert not load_splats(path).gaussians.antialiased
+    assert f"s.ply: comment {comment!r}: unclear whether splats are antialiased" in caplog.text
+    caplog.clear()
+    path.write_bytes(pack_ply(PlyTable(columns, [comment, "antialiased=1 sh=3"])))
+    assert load_splats(path).gaussians.antialiased
+    assert not caplog.text
 
 
 @pytest.mark.parametrize("kind", [np.float64, np.float32])
