@@ -34,6 +34,14 @@ def check_declared(declared: int, size: int) -> None:
         raise ValueError(f"{size:,} bytes that declare arrays of {declared:,} bytes")
 
 
+def in_any_case(path: Path) -> Path:
+    """``path``, or, if it is not there, the only file next to it that differs in capitals alone."""
+    if path.exists() or not path.parent.is_dir():
+        return path
+    alike = [file for file in path.parent.iterdir() if file.name.lower() == path.name.lower()]
+    return alike[0] if len(alike) == 1 else path
+
+
 def atomic_write(path: Path, data: bytes) -> None:
     """Write ``data`` to ``path``: readers see the old file or the whole new one.
 

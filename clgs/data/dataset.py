@@ -29,6 +29,7 @@ from clgs.data.stored_photo import DEFAULT_MEMORY, PhotoMemory, StoredPhoto
 from clgs.data.transforms import read_blender, read_transforms
 from clgs.data.view import View
 from clgs.errors import DataError
+from clgs.files import in_any_case
 from clgs.scene.camera import Camera
 from clgs.scene.scene import SceneTransform
 
@@ -91,7 +92,7 @@ class Dataset:
 
 def is_posed(folder: Path) -> bool:
     """Whether ``folder`` is a data set with poses."""
-    marked = any((folder / name).is_file() for name in (BLENDER, TRANSFORMS))
+    marked = any(in_any_case(folder / name).is_file() for name in (BLENDER, TRANSFORMS))
     return marked or find_model(folder) is not None or find_reader(folder) is not None
 
 
@@ -116,9 +117,9 @@ def read_photo_set(root: Path, test_every: int = EVERY) -> PhotoSet:
 
 def _read_format(root: Path) -> PhotoSet:
     """The photos by the first of the formats that ``root`` holds."""
-    if (root / BLENDER).is_file():
+    if in_any_case(root / BLENDER).is_file():
         return read_blender(root)
-    if (root / TRANSFORMS).is_file():
+    if in_any_case(root / TRANSFORMS).is_file():
         return read_transforms(root)
     if (model := find_model(root)) is not None:
         return read_colmap(root, model)

@@ -20,6 +20,7 @@ from clgs.data.images import (
 )
 from clgs.data.reduction import IGNORE, OBJECT
 from clgs.errors import DataError
+from clgs.files import in_any_case
 
 USED = 128
 """Masks and alpha channels at this level or above mean that the pixel is used."""
@@ -28,7 +29,7 @@ MASKS = "masks"
 """The folder of masks: NAME.png for the photo NAME, or NAME without its suffix."""
 
 MASK_FOLDERS = (MASKS, "mask")
-MASK_SUFFIXES = (".png", *SUFFIXES)
+MASK_SUFFIXES = tuple(form(s) for form in (str.lower, str.upper) for s in (".png", *SUFFIXES))
 MASK_MARKS = ("_mask", ".mask")
 """What the name of a mask may end in before its suffix; next to its photo it must."""
 
@@ -80,7 +81,8 @@ def mask_folders(root: Path, photos: Path) -> list[Path]:
     """List the MASK_FOLDERS that are in the data set ``root``, in its photos or next to them."""
     above = [] if photos == root else [photos.parent]
     places = dict.fromkeys([root, photos, *above, root / "images"])
-    return [path for place in places for name in MASK_FOLDERS if (path := place / name).is_dir()]
+    paths = (in_any_case(place / name) for place in places for name in MASK_FOLDERS)
+    return [path for path in paths if path.is_dir()]
 
 
 def list_masks(root: Path, photos: Path) -> list[Path]:

@@ -20,6 +20,7 @@ from clgs.data.lens import Lens
 from clgs.data.locate import ListedPhoto, inside, locate_all, plain_name
 from clgs.data.posed_photo import Photo, PhotoSet, hold_out, rigid
 from clgs.errors import DataError
+from clgs.files import in_any_case
 
 _log = logging.getLogger(__name__)
 
@@ -66,10 +67,11 @@ def read_blender(root: Path) -> PhotoSet:
     Raises:
         DataError: names file, frame and field.
     """
-    train, missing = _read_photos(root, root / "transforms_train.json")
-    if not (root / "transforms_test.json").is_file():
+    train, missing = _read_photos(root, in_any_case(root / "transforms_train.json"))
+    file = in_any_case(root / "transforms_test.json")
+    if not file.is_file():
         return PhotoSet("blender", *hold_out(train), missing)
-    test, more_missing = _read_photos(root, root / "transforms_test.json")
+    test, more_missing = _read_photos(root, file)
     return PhotoSet("blender", train, test, missing + more_missing, split=True)
 
 
@@ -79,7 +81,7 @@ def read_transforms(root: Path) -> PhotoSet:
     Raises:
         DataError: names file, frame and field.
     """
-    file = root / "transforms.json"
+    file = in_any_case(root / "transforms.json")
     document = read_document(file)
     photos, missing = _read_photos(root, file)
     found = PhotoSet("transforms", *hold_out(photos), missing)

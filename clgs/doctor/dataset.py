@@ -17,6 +17,7 @@ from clgs.doctor.cameras import check_lenses, check_poses
 from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, errors_first, from_error, named
 from clgs.doctor.pictures import check_pictures, damaged
 from clgs.errors import DataError
+from clgs.files import in_any_case
 from clgs.poses.input.find import find_photos
 
 FILES = ("transforms_train.json", "transforms_test.json", "transforms.json")
@@ -43,7 +44,7 @@ def examine(root: Path) -> Examined:
     try:
         photos = read_photo_set(root)
     except DataError as error:
-        if not is_posed(root) and not (root / FILES[1]).is_file():
+        if not is_posed(root) and not in_any_case(root / FILES[1]).is_file():
             return _unposed(root, error)
         photos, found = _piecewise(root)
         findings += found or [from_error(error)]
@@ -91,8 +92,8 @@ def _piecewise(root: Path) -> tuple[PhotoSet, list[Finding]]:
     photos: dict[str, Photo] = {}
     missing: list[str] = []
     findings: list[Finding] = []
-    kind = "blender" if (root / FILES[0]).is_file() else "transforms"
-    for file in filter(Path.is_file, (root / name for name in FILES)):
+    kind = "blender" if in_any_case(root / FILES[0]).is_file() else "transforms"
+    for file in filter(Path.is_file, (in_any_case(root / name) for name in FILES)):
         try:
             document = read_document(file, lenient=True)
             count = count_frames(file, document)

@@ -6,6 +6,7 @@ import os
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from clgs.data.dataset import load_dataset, read_photo_set
@@ -167,6 +168,7 @@ MASKS = [
         "images/002_mask.png",
     ),
     *("images/002.mask.jpg", "masks/002.mask.webp"),
+    *("Masks/002.png", "MASKS/002.PNG", "images/002_mask.JPG"),
 ]
 
 
@@ -208,3 +210,32 @@ def test_a_mask_without_a_name_is_that_of_no_photo(tmp_path):
     photos = read_photo_set(tmp_path)
     assert not any(photo.mask for photo in photos.train + photos.test)
     assert photos.stray_masks == ["masks/_mask.png"]
+
+
+@pytest.mark.parametrize("kind", ["binary", "text", "transforms", "blender"])
+def test_files_in_capitals_are_found(tmp_path, kind):
+    """Some disks and programs write all names so."""
+    if kind in ("binary", "text"):
+        write_colmap(tmp_path, text=kind == "text")
+        folder = tmp_path / "sparse" / "0"
+    else:
+        (write_blender if kind == "blender" else write_transforms)(tmp_path)
+        folder = tmp_path
+    before = read_photo_set(tmp_path)
+    for path in filter(Path.is_file, [*folder.iterdir()]):
+        path.rename(path.with_name(path.name.upper()))
+    photos = read_photo_set(tmp_path)
+    for name in ("train", "test"):
+        found, wanted = getattr(photos, name), getattr(before, name)
+        assert [photo.name for photo in found] == [photo.name for photo in wanted]
+    assert np.array_equal(photos.points, before.points)
+    assert examine(tmp_path).summary.startswith(f"{tmp_path}: {before.kind}")
+
+
+def test_two_files_that_differ_in_capitals_are_not_guessed(tmp_path):
+    write_transforms(tmp_path)
+    text = (tmp_path / "transforms.json").read_text()
+    (tmp_path / "transforms.json").rename(tmp_path / "Transforms.json")
+    (tmp_path / "TRANSFORMS.json").write_text(text)
+    with pytest.raises(DataError, match="photos without poses"):
+        read_photo_set(tmp_path)

@@ -26,6 +26,7 @@ from clgs.data.colmap.records import (
     sorted_points,
 )
 from clgs.errors import DataError
+from clgs.files import in_any_case
 
 MAX_NAME_BYTES = 1024
 LEAST_IMAGE_BYTES = 73
@@ -57,10 +58,10 @@ def read_binary(folder: Path) -> ColmapModel:
         cameras[number].check(file.fail)
     images = _read_images(_File(folder / "images.bin"), cameras)
     position, color = _read_points(_File(folder / "points3D.bin"))
-    if (folder / "rigs.bin").is_file():
-        _check_rigs(_File(folder / "rigs.bin"))
-    if (folder / "frames.bin").is_file():
-        _check_frames(_File(folder / "frames.bin"))
+    if (rigs := in_any_case(folder / "rigs.bin")).is_file():
+        _check_rigs(_File(rigs))
+    if (frames := in_any_case(folder / "frames.bin")).is_file():
+        _check_frames(_File(frames))
     return ColmapModel(images, position, color)
 
 
@@ -68,8 +69,8 @@ class _File:
     """The bytes of one file, and the place that is read next."""
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.data = path.read_bytes()
+        self.path = in_any_case(path)
+        self.data = self.path.read_bytes()
         self.at = 0
 
     def fail(self, problem: str) -> NoReturn:

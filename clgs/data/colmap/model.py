@@ -15,6 +15,7 @@ from clgs.data.lens import Lens
 from clgs.data.locate import ListedPhoto, locate_all
 from clgs.data.posed_photo import PhotoSet, hold_out, rigid
 from clgs.errors import DataError
+from clgs.files import in_any_case
 from clgs.scene.world import from_text
 
 NOT_UNDISTORTED = ("FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE")
@@ -77,12 +78,17 @@ def _folders(root: Path) -> list[Path]:
 
 
 def _is_model(folder: Path) -> bool:
-    return any((folder / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt"))
+    return any(in_any_case(folder / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt"))
+
+
+def _is_binary(folder: Path) -> bool:
+    return in_any_case(folder / "cameras.bin").is_file()
 
 
 def _is_whole(folder: Path) -> bool:
     files = "cameras", "images", "points3D"
-    return any(all((folder / (f + suffix)).is_file() for f in files) for suffix in (".bin", ".txt"))
+    forms = ([folder / (file + suffix) for file in files] for suffix in (".bin", ".txt"))
+    return any(all(in_any_case(file).is_file() for file in form) for form in forms)
 
 
 def _count_photos(folder: Path) -> int:
@@ -90,7 +96,7 @@ def _count_photos(folder: Path) -> int:
 
     Nothing else of the model is read; 0 if there is no such file.
     """
-    binary, text = folder / "images.bin", folder / "images.txt"
+    binary, text = in_any_case(folder / "images.bin"), in_any_case(folder / "images.txt")
     if binary.is_file():
         with binary.open("rb") as file:
             declared = int.from_bytes(file.read(8), "little")
@@ -107,10 +113,10 @@ def read_model(folder: Path) -> ColmapModel:
     Raises:
         DataError: names file, place and remedy.
     """
-    binary = (folder / "cameras.bin").is_file()
+    binary = _is_binary(folder)
     for name in ("cameras", "images", "points3D"):
         file = folder / f"{name}{'.bin' if binary else '.txt'}"
-        if not file.is_file():
+        if not in_any_case(file).is_file():
             raise DataError(f"{file}: missing; export the model again")
     return read_binary(folder) if binary else read_text(folder)
 
@@ -125,7 +131,7 @@ def read_colmap(root: Path, folder: Path) -> PhotoSet:
         DataError: names file, field and remedy.
     """
     model = read_model(folder)
-    file = folder / ("images.bin" if (folder / "cameras.bin").is_file() else "images.txt")
+    file = in_any_case(folder / ("images.bin" if _is_binary(folder) else "images.txt"))
     listed = []
     for image in model.images:
         source = f"{file}: image {image.name[:80]!r}"

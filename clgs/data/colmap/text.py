@@ -24,6 +24,7 @@ from clgs.data.colmap.records import (
     sorted_points,
 )
 from clgs.errors import DataError
+from clgs.files import in_any_case
 
 _POSE = ("QW", "QX", "QY", "QZ", "TX", "TY", "TZ")
 _CAMERA = ("CAMERA_ID", "MODEL", "WIDTH", "HEIGHT")
@@ -43,11 +44,13 @@ def read_text(folder: Path) -> ColmapModel:
     Raises:
         DataError: names file, line and field.
     """
-    cameras = _read_cameras(folder / "cameras.txt")
-    images, observations = _read_images(folder / "images.txt", cameras)
-    for line in _lines(folder / "frames.txt"):
+    names = "cameras", "images", "frames", "rigs", "points3D"
+    files = {name: in_any_case(folder / f"{name}.txt") for name in names}
+    cameras = _read_cameras(files["cameras"])
+    images, observations = _read_images(files["images"], cameras)
+    for line in _lines(files["frames"]):
         line.pose(2)
-    for line in _lines(folder / "rigs.txt"):
+    for line in _lines(files["rigs"]):
         # check the poses of the rig's sensors; the first sensor has none
         at = _BEFORE_SENSORS
         while at < len(line.words):
@@ -55,7 +58,7 @@ def read_text(folder: Path) -> ColmapModel:
             if line.words[at - 1 : at] == ["1"]:
                 line.pose(at)
                 at += len(_POSE)
-    position, color = _read_points(folder / "points3D.txt", observations)
+    position, color = _read_points(files["points3D"], observations)
     return ColmapModel(images, position, color)
 
 

@@ -70,7 +70,9 @@ CHUNK = _World(np.eye(3), np.zeros(3), 1.0, LOCAL)
 
 def find(root: Path) -> Path | None:
     """The XML file of cameras in a folder; cameras.xml comes first."""
-    files = sorted(root.glob("*.xml"), key=lambda path: (path.name != "cameras.xml", path.name))
+    files = sorted(
+        root.glob("*.[xX][mM][lL]"), key=lambda p: (p.name.lower() != "cameras.xml", p.name)
+    )
     return next(filter(_is_cameras, files), None)
 
 

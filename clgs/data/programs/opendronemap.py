@@ -31,6 +31,7 @@ from clgs.data.programs.listing import (
     whole_size,
 )
 from clgs.errors import DataError
+from clgs.files import in_any_case
 from clgs.scene.world import EARTH
 
 KIND = "opendronemap"
@@ -55,10 +56,10 @@ _log = logging.getLogger(__name__)
 def find(root: Path) -> Path | None:
     """The file of poses in the folder of a project; a reconstruction comes first."""
     for name in RECONSTRUCTIONS:
-        if (root / name).is_file():
-            return root / name
-    shots = [root / name for name in SHOTS if (root / name).is_file()]
-    return shots[0] if shots and (root / CAMERAS).is_file() else None
+        if (file := in_any_case(root / name)).is_file():
+            return file
+    shots = [file for name in SHOTS if (file := in_any_case(root / name)).is_file()]
+    return shots[0] if shots and in_any_case(root / CAMERAS).is_file() else None
 
 
 def read(root: Path, file: Path) -> PhotoSet:
@@ -67,7 +68,7 @@ def read(root: Path, file: Path) -> PhotoSet:
     Raises:
         DataError: names file, shot, field and remedy.
     """
-    return _read_shots(root, file) if file.suffix == ".geojson" else _read_model(root, file)
+    return _read_shots(root, file) if file.suffix.lower() == ".geojson" else _read_model(root, file)
 
 
 def _read_model(root: Path, file: Path) -> PhotoSet:
@@ -105,7 +106,7 @@ def _read_model(root: Path, file: Path) -> PhotoSet:
 
 
 def _read_shots(root: Path, file: Path) -> PhotoSet:
-    cameras = read_table(root / CAMERAS, dict)
+    cameras = read_table(in_any_case(root / CAMERAS), dict)
     listed = []
     for feature in lookup(read_table(file, dict), "features", list, str(file)):
         shot = lookup(feature, "properties", dict, f"{file}: a feature")

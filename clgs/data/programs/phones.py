@@ -27,6 +27,7 @@ from clgs.data.programs.listing import (
     whole_size,
 )
 from clgs.errors import DataError
+from clgs.files import in_any_case
 from clgs.scene.world import METRES
 
 POLYCAM, RECORD3D = "polycam", "record3d"
@@ -44,7 +45,7 @@ def find_polycam(root: Path) -> Path | None:
     """The folder of cameras that has photos next to it."""
     for base in (root / "keyframes", root):
         for cameras, images in (CORRECTED, AS_TAKEN):
-            if any((base / cameras).glob("*.json")) and (base / images).is_dir():
+            if any((base / cameras).glob("*.[jJ][sS][oO][nN]")) and (base / images).is_dir():
                 return base / cameras
     return None
 
@@ -56,7 +57,7 @@ def read_polycam(root: Path, folder: Path) -> PhotoSet:
         DataError: names file, field and remedy.
     """
     listed = []
-    for file in sorted(folder.glob("*.json")):
+    for file in sorted(folder.glob("*.[jJ][sS][oO][nN]")):
         given, source = read_table(file, dict), str(file)
         names = [f"t_{row}{column}" for row in range(3) for column in range(4)]
         matrix = np.array([number(given, name, source) for name in names]).reshape(3, 4)
@@ -72,7 +73,7 @@ def read_polycam(root: Path, folder: Path) -> PhotoSet:
 
 def find_record3d(root: Path) -> Path | None:
     """The file of metadata, if it has poses and there are photos."""
-    for file in (root / name for name in METADATA):
+    for file in (in_any_case(root / name) for name in METADATA):
         if file.is_file() and _photos(root) is not None:
             with file.open("rb") as opened:
                 if b'"poses"' in opened.read():

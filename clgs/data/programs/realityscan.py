@@ -37,7 +37,7 @@ _log = logging.getLogger(__name__)
 
 def find(root: Path) -> Path | None:
     """The CSV file of cameras in a folder, the first by name."""
-    return next(filter(_is_cameras, sorted(root.glob("*.csv"))), None)
+    return next(filter(_is_cameras, sorted(root.glob("*.[cC][sS][vV]"))), None)
 
 
 def _is_cameras(path: Path) -> bool:
@@ -69,7 +69,7 @@ def read(root: Path, file: Path) -> PhotoSet:
         )
     found = photo_set(KIND, root, file, listed)
     found.frame = frame_of(np.array([photo.centre for photo in found.train + found.test]))
-    clouds = sorted(root.glob("*.ply"))
+    clouds = sorted(root.glob("*.[pP][lL][yY]"))
     found.points_file = clouds[0] if len(clouds) == 1 else None
     if len(clouds) > 1:
         _log.warning("%s: %d PLY files; name one with --points", root, len(clouds))

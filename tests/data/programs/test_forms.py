@@ -149,3 +149,16 @@ def test_a_map_is_told_from_a_world_of_its_own(tmp_path):
     )
     for one, other in zip(found.train, near.train, strict=True):
         assert np.abs(one.camera.translation - other.camera.translation).max() <= 1e-6
+
+
+@pytest.mark.parametrize("form", OTHERS)
+def test_files_in_capitals_are_read(tmp_path, form):
+    capture = capture_of(tmp_path, form)
+    wanted = load_dataset(capture.form(form), load_images=False)
+    root = capture.form(form)
+    for path in [*root.rglob("*")]:
+        if path.is_file() and path.suffix.lower() not in (".png", ".jpg"):
+            path.rename(path.with_name(path.name.upper()))
+    found = load_dataset(root, load_images=False)
+    assert found.kind == wanted.kind
+    assert [view.name for view in found.train] == [view.name for view in wanted.train]
