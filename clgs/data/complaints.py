@@ -35,6 +35,14 @@ def check_photos(root: Path, photos: PhotoSet, reduction: Reduction) -> None:
         _log.warning("%s: %s", root, models)
     if not photos.train:
         raise DataError(f"{root}: {NONE_LEFT}")
+    everyone = photos.train + photos.test
+    if outside := [photo for photo in everyone if not photo.lens.holds_its_centre]:
+        lens, named = outside[0].lens, _named([photo.name for photo in outside])
+        _log.warning(
+            "%s: the centre of the lens, %g %g, lies outside of %d photos: %s; correct cx, cy, "
+            "unless they were cut out of larger photos",
+            *(root, lens.cx, lens.cy, len(outside), named),
+        )
     centres = np.array([photo.centre for photo in photos.train])
     if len(centres) > 1 and in_one_place(centres):
         problem = "all cameras are in one place, so depth cannot be seen; walk, not turn"
@@ -42,7 +50,7 @@ def check_photos(root: Path, photos: PhotoSet, reduction: Reduction) -> None:
     if not isinstance(reduction.times, int) or reduction.times < 0:
         problem = f"downscale is {reduction.times}; give a whole number of at least 1"
         raise DataError(f"{problem}, or 0 for the width alone")
-    least = min(min(p.lens.width, p.lens.height) for p in photos.train + photos.test)
+    least = min(min(p.lens.width, p.lens.height) for p in everyone)
     if reduction.times > least:
         raise DataError(
             f"downscale is {reduction.times}; the photos are {least} pixels, give at most that"

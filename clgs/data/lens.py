@@ -85,6 +85,11 @@ class Lens:
         """Whether the lens differs from a pinhole."""
         return self.fisheye or any((*self.radial, *self.divisor, *self.tangential, self.skew))
 
+    @property
+    def holds_its_centre(self) -> bool:
+        """Whether the principal point lies in the raster."""
+        return 0 <= self.cx <= self.width and 0 <= self.cy <= self.height
+
     def resized(self, width: int, height: int) -> Lens:
         """The same lens on a raster of another size; each axis by its own ratio."""
         x, y = width / self.width, height / self.height

@@ -178,7 +178,7 @@ def locate(listed: ListedPhoto, root: Path, files: PhotoFolder) -> Photo | None:
         return None
     size = posed_size(path, listed.size)
     lens = fit_lens(listed.lens(*(listed.size or size)), size, path)
-    if listed.size is None and not (0 <= lens.cx <= lens.width and 0 <= lens.cy <= lens.height):
+    if listed.size is None and not lens.holds_its_centre:
         raise DataError(
             f"{listed.source}: the centre of the lens, {lens.cx:g} {lens.cy:g}, lies outside of "
             f"{path.name!r}, which is {lens.width}x{lens.height}; give the w and h it is for"

@@ -43,7 +43,8 @@ LISTED = "distortion_params"
 DISTORTION = [*COEFFICIENTS["FULL_OPENCV"].split(), LISTED]
 
 SIZE, CENTRE = ("w", "h"), ("cx", "cy")
-FOCAL = ("fl_x", "fl_y", "camera_angle_x", "camera_angle_y")
+LENGTHS, ANGLES = ("fl_x", "fl_y"), ("camera_angle_x", "camera_angle_y")
+FOCAL = LENGTHS + ANGLES
 """Fields that belong together: all of a group are those of the frame, or those that frames share.
 
 The coefficients of the distortion are such a group as well.
@@ -110,7 +111,7 @@ def read_transforms(root: Path) -> PhotoSet:
         if both := [p.name for p in photos if p.name in wanted & held_out]:
             said = "is held out as well, so it is not trained on"
             _log.warning("%s: train_filenames: %s %s", file, ", ".join(both[:8]), said)
-        if keys == ["train_filenames"]:
+        if not any(document.get(key) for key in SPLITS[1:]):  # empty lists are as good as none
             found.test = [photo for photo in photos if photo.name not in wanted]
         found.train = [photo for photo in found.train if photo.name in wanted]
     return found
@@ -119,7 +120,23 @@ def read_transforms(root: Path) -> PhotoSet:
 def _read_photos(root: Path, file: Path) -> tuple[list[Photo], list[str]]:
     document = read_document(file)
     listed = [read_frame(file, document, number) for number in range(count_frames(file, document))]
-    return locate_all(listed, root, root, str(file))
+    photos, missing = locate_all(listed, root, root, str(file))
+    sizes = [one.size for one in listed]
+    if None in sizes and not _tells_size(document["frames"][sizes.index(None)], document):
+        lens = photos[0].lens
+        view = 2 * np.degrees(np.arctan(lens.width / (2 * lens.fx)))
+        _log.warning(
+            "%s: fl_x has no w and h; it is taken to be for photos of %dx%d, which see %.1f "
+            "degrees across; give w and h if that is wrong",
+            *(file, lens.width, lens.height, view),
+        )
+    return photos, missing
+
+
+def _tells_size(frame: dict[str, Any], shared: dict[str, Any]) -> bool:
+    """Whether something of a lens without w and h shows what size of photos it is for."""
+    fields = {**shared, **frame}
+    return any(key in fields for key in (*CENTRE, *ANGLES))
 
 
 def _points_file(root: Path, document: dict[str, Any], file: Path) -> Path | None:
@@ -251,6 +268,10 @@ def _read_lens(fields: _Fields, width: int, height: int) -> Lens:
 def _focal_lengths(fields: _Fields, width: int, height: int) -> tuple[float, float]:
     """fl_x and fl_y, or those of the fields of view; if only one is known, pixels are square."""
     known, level = {}, fields.level(FOCAL)
+    sizeless = not any(key in fields.level(group) for group in (SIZE, CENTRE) for key in group)
+    if sizeless and any(angle in level for angle in ANGLES):
+        # angles hold for photos of every size, lengths do not
+        level = {key: value for key, value in level.items() if key not in LENGTHS}
     for axis, size in (("x", width), ("y", height)):
         if f"fl_{axis}" in level:
             known[axis] = fields.number(f"fl_{axis}", 0.0, FOCAL)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,7 +17,15 @@ from clgs.data.dataset import load_dataset
 from clgs.data.posed_photo import Photo
 from clgs.data.transforms import read_blender, read_transforms
 from clgs.errors import DataError
-from tests.data.folders import noise_image, opengl, ring, save_json, write_blender, write_transforms
+from tests.data.folders import (
+    noise_image,
+    opengl,
+    ring,
+    save_json,
+    write_blender,
+    write_colmap,
+    write_transforms,
+)
 
 
 def project(photo: Photo, point: np.ndarray) -> np.ndarray:
@@ -60,6 +69,10 @@ def test_every_eighth_after_missing_ones_is_held_out(tmp_path):
     [
         ("02", "1", None, "02", "1", ""),
         ("0125", None, None, "0125", "34", ""),
+        ("0125", "", "", "0125", "34", ""),
+        ("0125", "", None, "0125", "34", ""),
+        ("0125", "", "3", "0125", "3", ""),
+        (None, "", "", "012345", "", ""),
         (None, None, "1", "02345", "1", ""),
         (None, "1", "2", "0345", "1", ""),
         ("012", "1", "2", "0", "1", "images/001.png, images/002.png is held out as well"),
@@ -191,12 +204,51 @@ def test_smaller_images_scale_the_intrinsics(tmp_path):
     assert lens.cx == pytest.approx(41.0 * 40 / 81)
 
 
+@pytest.mark.parametrize("kind", ["transforms", "colmap"])
+def test_a_centre_outside_of_its_photo_is_told(tmp_path, caplog, kind):
+    if kind == "colmap":
+        pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
+        write_colmap(tmp_path, text=True)
+        load_dataset(tmp_path)
+        file = tmp_path / "sparse" / "0" / "cameras.txt"
+        file.write_text(re.sub(r"(PINHOLE \S+ \S+ \S+ \S+) \S+", r"\1 5000", file.read_text()))
+    else:
+        write_transforms(tmp_path)
+        load_dataset(tmp_path)
+        write_transforms(tmp_path, cx=5000)
+    assert "centre of the lens" not in caplog.text
+    load_dataset(tmp_path)
+    assert caplog.text.count("the centre of the lens, 5000 ") == 1
+    assert "lies outside of 10 photos: " in caplog.text
+
+
 @pytest.mark.parametrize("absent", ["w", "h", "wh"])
 def test_a_lens_for_photos_of_another_unknown_size_is_refused(tmp_path, absent):
     document = write_transforms(tmp_path, 2, fl_x=1000.0, cx=200.0, cy=150.0, w=400, h=300)
     save_json(tmp_path, {name: document[name] for name in document if name not in absent})
     with pytest.raises(DataError, match=r"frame 0: .* 200 150, .* is 40x30; give the w and h"):
         read_transforms(tmp_path)
+
+
+@pytest.mark.parametrize("given", ["fl_x", "fl_x cx cy w h", "fl_x cx cy", "camera_angle_x"])
+def test_a_focal_length_for_photos_of_no_known_size_is_told(tmp_path, caplog, given):
+    document = write_transforms(tmp_path, 3, camera_angle_x=2 * math.atan(0.4))
+    kept = {"frames", *given.split()}
+    save_json(tmp_path, {name: value for name, value in document.items() if name in kept})
+    assert read_transforms(tmp_path).train[0].lens.fx == pytest.approx(50.0)
+    said = f"{tmp_path / 'transforms.json'}: fl_x has no w and h; it is taken to be for photos of"
+    assert caplog.text.count(said) == (given == "fl_x")
+    assert ("40x30, which see 43.6 degrees across" in caplog.text) == (given == "fl_x")
+
+
+def test_an_angle_tells_the_size_that_a_focal_length_is_for(tmp_path):
+    document = write_transforms(
+        tmp_path, 3, fl_x=500.0, fl_y=500.0, camera_angle_x=2 * math.atan(0.4)
+    )
+    kept = "fl_x", "fl_y", "camera_angle_x", "frames"
+    save_json(tmp_path, {name: document[name] for name in kept})
+    lens = read_transforms(tmp_path).train[0].lens
+    assert (lens.fx, lens.fy) == pytest.approx((50.0, 50.0))
 
 
 def test_blender_split_and_pose(tmp_path):
