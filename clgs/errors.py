@@ -41,6 +41,17 @@ class DeviceError(ClgsError):
     exit_code = 4
 
 
+class LostDeviceError(DeviceError):
+    """A device failed or is gone, and all that the process has on it; ``said``: by the driver."""
+
+    def __init__(self, said: str) -> None:
+        super().__init__(
+            f"the OpenCL device failed or was lost ({said}), and this process cannot use it any "
+            "more; start another one, a training with --resume; if it fails again, `clgs accept` "
+            "shows where"
+        )
+
+
 class NoRoomError(DeviceError):
     """The device has no room for an array; ``problem`` says so without a remedy. Exit code 4."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from clgs.errors import ClgsError, DeviceError
+from clgs.errors import ClgsError, DeviceError, LostDeviceError
 from clgs.files import is_full
 
 LOST = ("OUT_OF_RESOURCES", "DEVICE_NOT_AVAILABLE", "INVALID_COMMAND_QUEUE", "INVALID_CONTEXT")
@@ -36,8 +36,5 @@ def _explain_opencl(error: Exception) -> str:
     if "MemoryError" in type(error).__name__:
         return f"the device is out of memory ({first}); try a larger --downscale"
     if any(code in first for code in LOST):
-        return (
-            f"the OpenCL device failed or was lost ({first}); run it again, a training with "
-            "--resume; if it fails again, `clgs accept` shows where"
-        )
+        return str(LostDeviceError(first))
     return f"OpenCL: {type(error).__name__}: {first}"

@@ -28,6 +28,7 @@ from clgs.opencl.choose import (
     wanted_form,
 )
 from clgs.opencl.kernel import Argument, Kernel
+from clgs.opencl.lost import tells_of_loss
 from clgs.opencl.programs import Programs, context_of
 from clgs.opencl.timing import KernelTimes, Profile, Waits
 from clgs.opencl.transfer import Download, PinnedMemory, Transfers
@@ -176,6 +177,7 @@ class Device:
         self.fill_zero(array)
         return array
 
+    @tells_of_loss
     def fill_zero(self, array: DeviceArray, first: int = 0) -> None:
         """Overwrite an array with zero bytes, from element ``first`` on, counted flat."""
         start = first * array.dtype.itemsize
@@ -202,6 +204,7 @@ class Device:
         row = math.prod(array.shape[1:]) * array.dtype.itemsize
         return rows * row <= int(array.buffer.size)
 
+    @tells_of_loss
     def copy_part(self, source: DeviceArray, target: DeviceArray, first: int, count: int) -> None:
         """Copy elements ``first`` to ``first + count - 1``, counted flat; both of one dtype."""
         if count:
@@ -308,6 +311,7 @@ class Device:
         """Build all programs; yields each one's file, its kernels, and its problem or ""."""
         return self._programs.build_all()
 
+    @tells_of_loss
     def run(
         self,
         kernel: Kernel,
@@ -358,15 +362,17 @@ class Device:
         if not self.profile.enabled:
             yield
             return
-        self.queue.finish()
+        self.finish()
         with self.profile.measure(name):
             yield
-            self.queue.finish()
+            self.finish()
 
+    @tells_of_loss
     def flush(self) -> None:
         """Let the device begin with what is enqueued; does not wait."""
         self.queue.flush()
 
+    @tells_of_loss
     def finish(self) -> None:
         """Wait for all enqueued work."""
         self.queue.finish()

@@ -11,6 +11,8 @@ from typing import Any
 
 import pyopencl as cl
 
+from clgs.opencl.lost import tells_of_loss
+
 MILLISECONDS = 1e-6
 """Milliseconds of a nanosecond."""
 
@@ -74,6 +76,7 @@ class Waits:
         self.count = 0
         self.seconds = 0.0
 
+    @tells_of_loss
     def wait(self, event: Any) -> None:
         """Wait for ``event``; raises what the driver says if its command failed."""
         waiting = not is_complete(event)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 import pyopencl as cl
 
 from clgs.opencl.array import DeviceArray
+from clgs.opencl.lost import tells_of_loss
 from clgs.opencl.timing import Waits, is_complete
 
 LARGEST_PATTERN = 128
@@ -116,6 +117,7 @@ class Transfers:
         self._queue, self._waits, self._pinned = queue, waits, pinned
         self._under_way: deque[Any] = deque()
 
+    @tells_of_loss
     def write(self, buffer: Any, host: npt.NDArray[Any]) -> None:
         """Overwrite the first ``host.nbytes`` bytes of ``buffer``."""
         if host.nbytes <= FILLED_SIZE:
@@ -133,6 +135,7 @@ class Transfers:
         else:
             self.write_constant(buffer, np.array(host, order="C"))
 
+    @tells_of_loss
     def write_constant(self, buffer: Any, host: npt.NDArray[Any]) -> None:
         """Write an array that never changes; does not wait."""
         constant = np.ascontiguousarray(host)
@@ -141,6 +144,7 @@ class Transfers:
             self._under_way.popleft()
         self._under_way.append(cl.enqueue_copy(self._queue, buffer, constant, is_blocking=False))
 
+    @tells_of_loss
     def read(self, array: DeviceArray) -> Download:
         """Copy ``array`` to the host when the commands before are through."""
         if self._pinned and 0 < array.nbytes <= PINNED_SIZE:
@@ -151,10 +155,12 @@ class Transfers:
         event = cl.enqueue_copy(self._queue, host, array.buffer, is_blocking=False)
         return Download(host, event, self._waits, lent=False)
 
+    @tells_of_loss
     def map(self, array: DeviceArray) -> MappedView:
         """``array``, which is not empty, for the host to read where it is."""
         return MappedView(self._queue, array, self._waits)
 
+    @tells_of_loss
     def hand_over(self, arrays: list[DeviceArray]) -> list[npt.NDArray[Any]]:
         """The memory of arrays, none of them empty, as arrays of the host; waits once for all."""
         mapped = [_Mapped(self._queue, array) for array in arrays]

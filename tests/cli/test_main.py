@@ -67,7 +67,7 @@ def cl_error(name):
         (
             cl_error("RuntimeError")("clFinish failed: OUT_OF_RESOURCES\nX"),
             4,
-            "failed or was lost (clFinish failed: OUT_OF_RESOURCES); run it again",
+            "OUT_OF_RESOURCES), and this process cannot use it any more; start another one",
         ),
         (ModuleNotFoundError("No module", name="pyopencl"), 4, "pip install pyopencl"),
         (ImportError("libOpenCL.so.1", name="pyopencl._cl"), 4, "libOpenCL.so.1"),

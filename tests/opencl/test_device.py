@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pyopencl as cl
 import pytest
 
-from clgs.errors import DeviceError, UsageError
+from clgs.errors import DeviceError, LostDeviceError, UsageError
 from clgs.opencl import programs
 from clgs.opencl.device import Device, round_up
+from clgs.ops import batch
 
 SCALE = """#include "common/real.h"
 #ifndef FACTOR
@@ -47,6 +50,33 @@ def test_a_device_that_is_too_small_is_refused(monkeypatch):
     monkeypatch.setattr("clgs.opencl.device.too_small", lambda device: "it has no local memory")
     with pytest.raises(DeviceError, match="cannot be used: it has no local memory; use another"):
         Device()
+
+
+@pytest.mark.parametrize("where", ["run", "wait", "finish", "fill", "copy"])
+def test_a_lost_device_says_what_helps(fresh_device, monkeypatch, where):
+    array, said = fresh_device.upload(np.ones(300, np.float32)), "failed: OUT_OF_RESOURCES"
+
+    def fail(*arguments, **named):
+        raise cl.RuntimeError(said)
+
+    calls = {
+        "run": lambda: batch.add(fresh_device, array, array),
+        "wait": lambda: fresh_device.download(array),
+        "finish": fresh_device.finish,
+        "fill": lambda: fresh_device.fill_zero(array),
+        "copy": lambda: fresh_device.download(array),
+    }
+    calls["run"]()
+    broken = SimpleNamespace(finish=fail, wait=fail, command_execution_status=0)
+    monkeypatch.setattr(cl.Kernel, "__call__", fail)
+    monkeypatch.setattr(cl, "enqueue_fill_buffer", fail)
+    monkeypatch.setattr(cl, "enqueue_copy", (lambda *a, **k: broken) if where == "wait" else fail)
+    monkeypatch.setattr(fresh_device, "queue", broken)
+    with pytest.raises(LostDeviceError, match=rf"lost \({said}\), .* start another one"):
+        calls[where]()
+    said = "failed: INVALID_VALUE"
+    with pytest.raises(cl.RuntimeError, match=said):
+        calls[where]()
 
 
 def test_first_rows_share_the_memory(device):
