@@ -12,9 +12,11 @@ import clgs.jax as ours  # noqa: E402
 from tests.render.splat_scene import scene  # noqa: E402
 
 
-@pytest.mark.parametrize("by_covars", [False, True])
-def test_has_the_pictures_and_gradients_of_the_numpy_form(rng, by_covars):
-    given = scene(rng)
+@pytest.mark.parametrize(
+    ("by_covars", "model"), [(False, "pinhole"), (True, "pinhole"), (False, "fisheye")]
+)
+def test_has_the_pictures_and_gradients_of_the_numpy_form(rng, by_covars, model):
+    given = scene(rng, model=model) | {"camera_model": model}
     given["backgrounds"] = rng.uniform(0, 1, (2, 3)).astype(np.float32)
     if by_covars:
         axes = rng.normal(0, 0.2, (40, 3, 3))

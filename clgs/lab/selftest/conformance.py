@@ -19,7 +19,15 @@ from clgs.lab.selftest.exact_scenes import (
     TURNED,
     ConformanceScene,
     ExactRandom,
+    Tensor,
     conformance_scenes,
+    named,
+)
+from clgs.lab.selftest.further_stages import (
+    file_tensors,
+    fisheye_tensors,
+    room_tensors,
+    training_tensors,
 )
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
@@ -37,9 +45,6 @@ COUNT = 5000
 
 OPERATIONS = ("division", "square root", "product and sum", "fused product and sum")
 """What drivers round differently; all stages are made of these and of sums and products."""
-
-Tensor = tuple[str, str, npt.NDArray[Any]]
-"""Stage, name and values."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +69,14 @@ def fingerprints(device: Device) -> list[Fingerprint]:
         found += [_fingerprint(one.name, *tensor) for tensor in _render_tensors(device, one)]
     found += [_fingerprint("numbers", *tensor) for tensor in _number_tensors(device)]
     found += [_fingerprint("splats", *tensor) for tensor in _rasteriser_tensors(device)]
+    large = conformance_scenes()[1]
+    for name, tensors in (
+        ("training", training_tensors(device)),
+        ("rooms", room_tensors(device, large)),
+        ("files", file_tensors(device, large)),
+        ("fisheye", fisheye_tensors(device)),
+    ):
+        found += [_fingerprint(name, *tensor) for tensor in tensors]
     return found
 
 
@@ -85,11 +98,11 @@ def _render_tensors(device: Device, one: ConformanceScene) -> Iterator[Tensor]:
         ("tiles", frame.tiles, "tile_range gaussian row"),
         ("blend forward", frame.blended, "image transmittance last_contributor"),
     ):
-        yield from _named(device, stage, result, *names.split())
+        yield from named(device, stage, result, *names.split())
     target = device.upload(one.photo)
     compared = loss.forward(device, frame.image, target)
     d_image = loss.backward(device, frame.image, target, compared)
-    yield from _named(device, "loss forward", compared, "shift")
+    yield from named(device, "loss forward", compared, "shift")
     yield "loss backward", "d_image", device.download(d_image)
     yield from _backward_tensors(device, scene, frame, d_image)
     for name, accuracy in PRESETS.items():
@@ -106,18 +119,13 @@ def _backward_tensors(
     gaussians, projected = frame.gaussians, frame.projected
     d_projected = blend.backward(device, projected, frame.blended, d_image)
     names = ("d_color", "d_opacity", "d_mean2d", "d_whitening")
-    yield from _named(device, "blend backward", d_projected, *names)
+    yield from named(device, "blend backward", d_projected, *names)
     d_gaussians = project.backward(device, gaussians, frame.view.camera, projected, d_projected)
     loss.volume(device, gaussians.scale, VOLUME_WEIGHT, d_gaussians.d_scale)
-    yield from _named(device, "project backward", d_gaussians, "d_mean", "d_scale", "d_rotation")
+    yield from named(device, "project backward", d_gaussians, "d_mean", "d_scale", "d_rotation")
     gradients = rasterise_backward(device, scene, frame, d_image, VOLUME_WEIGHT)
-    yield from _named(device, "neural backward", gradients, "d_offset", "d_scaling")
-    yield from _named(device, "mlp backward", gradients, "d_feature", "d_weights")
-
-
-def _named(device: Device, stage: str, result: object, *names: str) -> Iterator[Tensor]:
-    for name in names:
-        yield stage, name, device.download(getattr(result, name))
+    yield from named(device, "neural backward", gradients, "d_offset", "d_scaling")
+    yield from named(device, "mlp backward", gradients, "d_feature", "d_weights")
 
 
 def _number_tensors(device: Device) -> Iterator[Tensor]:
@@ -181,16 +189,16 @@ def _rasteriser_tensors(device: Device) -> Iterator[Tensor]:
     yield "harmonics forward", "color", device.download(color)
     projected = views.forward(device, splats, camera, lens, color, DEFAULT)
     names = ("mean2d", "whitening", "depth", "extent", "opacity")
-    yield from _named(device, "views forward", projected, *names)
+    yield from named(device, "views forward", projected, *names)
     background = device.upload(random.floats((4,), 0.0, 1.0))
     drawn = channel_picture.draw(device, projected, size, background, True, 0.999, DEFAULT)
-    yield from _named(device, "channels forward", drawn.picture, "image", "transmittance")
+    yield from named(device, "channels forward", drawn.picture, "image", "transmittance")
     d_image = device.upload(random.floats((48, 80, 4), -1.0, 1.0))
     d_left = device.upload(random.floats((48, 80), -1.0, 1.0))
     d = channel_picture.backward(device, drawn, d_image, d_left, absolute=True)
-    yield from _named(device, "channels backward", d, *vars(d))
+    yield from named(device, "channels backward", d, *vars(d))
     made = views.backward(device, splats, camera, lens, projected, d, want_camera=True)
-    yield from _named(device, "views backward", made, *vars(made))
+    yield from named(device, "views backward", made, *vars(made))
     d_sh, d_mean = harmonics.backward(device, splats.mean, sh, camera, 4, color, d.d_color)
     yield "harmonics backward", "d_sh", device.download(d_sh)
     yield "harmonics backward", "d_mean", device.download(d_mean)

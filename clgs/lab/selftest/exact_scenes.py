@@ -6,13 +6,15 @@ The random numbers depend on nothing but this file: no library's generator, no r
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from clgs.constants import FEATURE_DIM, K_OFFSETS
+from clgs.opencl.device import Device
 from clgs.scene.anchors import AnchorSet
 from clgs.scene.camera import Camera
 from clgs.scene.mlps import MLP_SIZE, Mlps
@@ -22,6 +24,9 @@ GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 MIX = ((np.uint64(30), 0xBF58476D1CE4E5B9), (np.uint64(27), 0x94D049BB133111EB))
 TURNED = np.array([[0.8, 0.0, 0.6], [0.0, 1.0, 0.0], [-0.6, 0.0, 0.8]])
 """A rotation without rounding in its making."""
+
+Tensor = tuple[str, str, npt.NDArray[Any]]
+"""Stage, name and values."""
 
 
 class ExactRandom:
@@ -89,3 +94,9 @@ def _scene(
         RenderSettings(background=(0.25, 0.5, 0.75)),
     )
     return ConformanceScene(name, scene, camera, random.bytes((3, camera.height, camera.width)))
+
+
+def named(device: Device, stage: str, result: object, *names: str) -> Iterator[Tensor]:
+    """The arrays of these names that a stage made."""
+    for name in names:
+        yield stage, name, device.download(getattr(result, name))

@@ -17,11 +17,30 @@ from clgs.lab.selftest import SHIPPED
 from clgs.lab.selftest.conformance import differences, fingerprints, from_record, to_record
 from clgs.lab.selftest.exact_scenes import ExactRandom
 from clgs.opencl.device import Device
+from clgs.opencl.source import programs_of_form, read_program
+from tests.house.rules import kernels_in
 
 
 @pytest.fixture(scope="module")
-def found(open_device):
-    return fingerprints(open_device("cpu"))
+def run_kernels():
+    """Names of the kernels that the fixture ``found`` ran."""
+    return set()
+
+
+@pytest.fixture(scope="module")
+def found(open_device, run_kernels):
+    device = open_device("cpu")
+    with pytest.MonkeyPatch.context() as patch:
+        run = device.run
+        patch.setattr(device, "run", lambda k, *a, **b: run_kernels.add(k.name) or run(k, *a, **b))
+        return fingerprints(device)
+
+
+def test_no_kernel_is_left_out(found, run_kernels):
+    """But for those that measure the device's limits."""
+    programs = programs_of_form("cpu").values()
+    known = {kernel for name in programs for kernel in kernels_in(read_program(name))}
+    assert known - run_kernels == {"limits_copy", "limits_fma", "limits_rounding"}
 
 
 def test_splitmix_as_published():
@@ -66,6 +85,7 @@ def test_the_committed_hashes_are_those_of_today(open_device, found):
 def test_every_tensor_is_its_own(found):
     assert len({one.place for one in found}) == len(found)
     scenes = {"small", "large", "needles", "numbers", "splats"}
+    scenes |= {"training", "rooms", "files", "fisheye"}
     assert {one.scene for one in found} == scenes
 
 
