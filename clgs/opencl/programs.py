@@ -137,9 +137,9 @@ class Programs:
                 yield file, [], str(error)
 
 
-def build_options(form: str, exact: bool) -> list[str]:
-    """Options of programs without defines of their own: of scalars, without prefetch."""
-    return _options(_macros(form, 1, False, {}), exact)
+def build_options(form: str, exact: bool, own: Defines | None = None) -> list[str]:
+    """Options of programs of scalars, without prefetch; ``own``: defines of the program."""
+    return _options(_macros(form, 1, False, own or {}), exact)
 
 
 def _macros(form: str, lanes: int, prefetch: bool, own: Defines) -> dict[str, str]:

@@ -117,7 +117,9 @@ __kernel void channels_backward(__global const float *records, __global const in
                 if (number > units[u].last)
                     continue;
                 const Touch t = touch(&record, units[u].x, units[u].y, &constants);
-                unveil(&units[u].rays, &record, value, &t, number, part[i]);
+                const fv weight = unveil(&units[u].rays, &record, value, &t, number, part[i]);
+                for (int c = 0; c < ALL_CHANNELS; ++c)
+                    part[i][MOMENT_CHANNEL + c] += weight * units[u].rays.d[c];
             }
         }
         store_row(part, row);

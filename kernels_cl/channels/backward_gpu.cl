@@ -15,16 +15,30 @@
 
 #define MOMENT_BATCH 8
 
-/* Writes the row of the moments `m` that each work-item has of its pixel. */
-static inline void write_row(const float m[MOMENTS], __local float *pixels, __local float *lanes,
-                             __global float *row)
+/* What a record leaves of a work-item's pixel: the first moments, and the weight of the others. */
+typedef struct {
+    float first[MOMENT_CHANNEL];
+    float weight;
+    bool touched;
+} PixelMoments;
+
+/* Writes the row of the moments that each work-item has of its pixel. Those of the channels are
+ * made here, and indices are constants: else arrays would not stay in registers. */
+static inline void write_row(const PixelMoments *m, const float d[ALL_CHANNELS],
+                             __local float *pixels, __local float *lanes, __global float *row)
 {
     const int item = (int)get_local_id(0), lane = item % SUM_LANES, moment = item / SUM_LANES;
     for (int begin = 0; begin < MOMENTS; begin += MOMENT_BATCH) {
         const int count = min(MOMENT_BATCH, MOMENTS - begin);
-        for (int j = 0; j < MOMENT_BATCH; ++j)
-            if (j < count)
-                pixels[j * TILE_PIXELS + item] = m[begin + j < MOMENTS ? begin + j : 0];
+#pragma unroll
+        for (int j = 0; j < MOMENT_CHANNEL; ++j)
+            if (j / MOMENT_BATCH * MOMENT_BATCH == begin)
+                pixels[j % MOMENT_BATCH * TILE_PIXELS + item] = m->first[j];
+#pragma unroll
+        for (int c = 0, j = MOMENT_CHANNEL; c < ALL_CHANNELS; ++c, ++j)
+            if (j / MOMENT_BATCH * MOMENT_BATCH == begin)
+                pixels[j % MOMENT_BATCH * TILE_PIXELS + item] =
+                    m->touched ? 0.0f + m->weight * d[c] : 0.0f;
         barrier(CLK_LOCAL_MEM_FENCE);
         if (moment < count) {
             float sum = 0.0f;
@@ -77,17 +91,20 @@ channels_backward(__global const float *records, __global const int *gaussian,
     const int begin = tile_range[tile], end = tile_range[tile + 1];
     for (int k = end - 1; k >= begin; --k) {
         __global const float *from = records + RECORD_SIZE * (size_t)k;
-        float m[MOMENTS];
-        for (int j = 0; j < MOMENTS; ++j)
-            m[j] = 0.0f;
-        if (as_uint(from[RECORD_UNITS]) & unit) {
+        PixelMoments m;
+        for (int j = 0; j < MOMENT_CHANNEL; ++j)
+            m.first[j] = 0.0f;
+        m.weight = 0.0f;
+        m.touched = (as_uint(from[RECORD_UNITS]) & unit) != 0;
+        if (m.touched) {
             Record record;
             READ_RECORD(record, from);
             float value[ALL_CHANNELS];
             load_channels(&palette, gaussian[k], value);
             const Touch t = touch(&record, (float)x + 0.5f, (float)y + 0.5f, &constants);
-            unveil(&rays, &record, value, &t, k - begin + 1, m);
+            m.weight = unveil(&rays, &record, value, &t, k - begin + 1, m.first);
         }
-        write_row(m, pixels, lanes, rows + MOMENT_PITCH * (size_t)as_int(from[RECORD_ROW]));
+        write_row(&m, rays.d, pixels, lanes,
+                  rows + MOMENT_PITCH * (size_t)as_int(from[RECORD_ROW]));
     }
 }

@@ -34,6 +34,7 @@ typedef struct {
 static inline void load_channels(const Palette *p, const int gaussian, float value[ALL_CHANNELS])
 {
     __global const float *own = p->color + (size_t)p->pitch * (size_t)gaussian + (size_t)p->first;
+#pragma unroll
     for (int c = 0; c < CHANNELS; ++c)
         value[c] = own[c];
 #if WITH_DEPTH

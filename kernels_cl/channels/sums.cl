@@ -13,6 +13,14 @@
 #define FIXED_SUMS 8
 #endif
 
+#define SUMS_AT_ONCE (MOMENTS < 16 ? MOMENTS : 16) /* more would not all stay in registers */
+
+/* Where a moment is summed, among the sums of a Gaussian. */
+static inline int place_of_sum(const int moment, const int first)
+{
+    return moment < MOMENT_CHANNEL ? moment : FIXED_SUMS + first + moment - MOMENT_CHANNEL;
+}
+
 /* Adds the rows of every Gaussian to its sums, (count, sums_pitch); `first`: of the channels. */
 __kernel void channels_accumulate(__global const float *rows, __global const int *row_range,
                                   const int count, const int first, const int sums_pitch,
@@ -22,17 +30,22 @@ __kernel void channels_accumulate(__global const float *rows, __global const int
     if (i >= (size_t)count)
         return;
     __global float *own = sums + (size_t)sums_pitch * i;
-    float sum[MOMENTS];
+#pragma unroll 1
+    for (int begin = 0; begin < MOMENTS; begin += SUMS_AT_ONCE) {
+        float sum[SUMS_AT_ONCE];
 #pragma unroll
-    for (int j = 0; j < MOMENTS; ++j)
-        sum[j] = own[j < MOMENT_CHANNEL ? j : FIXED_SUMS + first + j - MOMENT_CHANNEL];
-    for (int k = row_range[i]; k < row_range[i + 1]; ++k)
+        for (int j = 0; j < SUMS_AT_ONCE; ++j)
+            sum[j] = begin + j < MOMENTS ? own[place_of_sum(begin + j, first)] : 0.0f;
+        for (int k = row_range[i]; k < row_range[i + 1]; ++k)
 #pragma unroll
-        for (int j = 0; j < MOMENTS; ++j)
-            sum[j] += rows[MOMENT_PITCH * (size_t)k + (size_t)j];
+            for (int j = 0; j < SUMS_AT_ONCE; ++j)
+                if (begin + j < MOMENTS)
+                    sum[j] += rows[MOMENT_PITCH * (size_t)k + (size_t)(begin + j)];
 #pragma unroll
-    for (int j = 0; j < MOMENTS; ++j)
-        own[j < MOMENT_CHANNEL ? j : FIXED_SUMS + first + j - MOMENT_CHANNEL] = sum[j];
+        for (int j = 0; j < SUMS_AT_ONCE; ++j)
+            if (begin + j < MOMENTS)
+                own[place_of_sum(begin + j, first)] = sum[j];
+    }
 }
 
 /* Gradients from the sums of all rows; d_absolute: (count, 2), or anything WITH_ABSOLUTE 0;

@@ -16,10 +16,11 @@ typedef struct {
     fv d[ALL_CHANNELS];
 } ChannelRays;
 
-/* Takes a record with the channels `value` off pixels and gives its moments to `m`, adding them up
- * if pixels are lanes; `number` counts list entries from 1. */
-static inline void unveil(ChannelRays *p, const Record *record, const float value[ALL_CHANNELS],
-                          const Touch *t, const int number, fv m[MOMENTS])
+/* Takes a record with the channels `value` off pixels and adds its first moments to `m`; returns
+ * its weights, which times `d` are the moments of the channels. `number` counts list entries from
+ * 1. */
+static inline fv unveil(ChannelRays *p, const Record *record, const float value[ALL_CHANNELS],
+                        const Touch *t, const int number, fv m[MOMENT_CHANNEL])
 {
     const iv blends = t->touched & ((iv)(number) <= p->last);
     const fv alpha = blends ? t->alpha : (fv)(0.0f);
@@ -27,10 +28,8 @@ static inline void unveil(ChannelRays *p, const Record *record, const float valu
     const fv weight = alpha * p->transmittance;
     fv shade = (fv)(0.0f);
 #pragma unroll
-    for (int c = 0; c < ALL_CHANNELS; ++c) {
+    for (int c = 0; c < ALL_CHANNELS; ++c)
         shade = fma(p->d[c], (fv)(value[c]), shade);
-        m[MOMENT_CHANNEL + c] += weight * p->d[c];
-    }
     const fv change = shade - p->behind;
     p->behind = fma(alpha, change, p->behind);
     const fv v = t->saturated ? (fv)(0.0f) : weight * change;
@@ -51,6 +50,7 @@ static inline void unveil(ChannelRays *p, const Record *record, const float valu
 #else
     (void)record;
 #endif
+    return weight;
 }
 
 #endif

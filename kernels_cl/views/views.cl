@@ -193,16 +193,20 @@ __kernel void views_backward(__global const float *mean, __global const float *s
     if (COMPENSATED)
         share_gradient(&s, d_share, d_a, d_b, d_size);
     d_opaque *= s.share;
+    blank(drawn, 1, &d_opaque);
+    store_rows1(&d_opaque, d_opacity, item, used);
+
+    /* What is read and computed again, here and below, does not stay in registers meanwhile: that
+     * would leave Intel's compilers 8 work-items, or memory for a part. */
+    load_rows3(mean, item, used, position);
+    see_point(&s, position, camera);
     point_gradient(&s, d_centre, d_a, d_b, d_size[0] + d_size[1] + d_size[2], d_deep, camera,
                    d_point);
     for (int k = 0; k < 3; ++k)
         d_position[k] = along_camera(camera, k, d_point);
     blank(drawn, 3, d_position);
-    blank(drawn, 1, &d_opaque);
     store_rows3(d_position, d_mean, item, used);
-    store_rows1(&d_opaque, d_opacity, item, used);
 
-    /* Read again: kept in registers until here, they leave Intel's compiler 8 work-items. */
     load_rows3(mean, item, used, position);
     load_shape(&s, shape, rotation, item, used);
     fv d_seen[3][3]; /* by the columns of the shape in camera space */
@@ -221,6 +225,8 @@ __kernel void views_backward(__global const float *mean, __global const float *s
     }
 #if BY_COVARIANCE
     fv d_cov[6];
+    load_rows3(whitening, item, used, factor);
+    load_rows3(d_whitening, item, used, d_factor);
     covariance_gradient(&s, factor, d_factor, d_share, camera, d_cov);
     blank(drawn, 6, d_cov);
     for (size_t i = 0; i < 6; ++i) {

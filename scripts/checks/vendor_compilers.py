@@ -14,7 +14,8 @@ For each kernel: ``registers`` of a work-item (Intel: of a hardware thread); ``s
 ``scalars_spilled``: registers that had to go to memory (AMD) or bytes of them (NVIDIA);
 ``private``: bytes of memory for a work-item (Intel: for a hardware thread), spills included;
 ``local``: bytes for a work-group; ``simd``: Intel's work-items per hardware thread. The key
-``fails`` lists the programs on which the compiler fails.
+``fails`` lists the programs on which the compiler fails. A kernel as other than usual options make
+it has its defines after its name.
 """
 
 from __future__ import annotations
@@ -33,8 +34,9 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from clgs.opencl.programs import build_options
+from clgs.opencl.programs import Defines, build_options
 from clgs.opencl.source import programs_of_form, read_program
+from clgs.ops.general.channels import CHUNK, FEW_REGISTERS_CHUNK
 from clgs.ops.mlp import FEW_REGISTERS
 
 INTEL = ("skl", "icllp", "tgllp", "dg1", "dg2", "pvc")
@@ -53,6 +55,16 @@ ISA_VERSION = (
 
 NEWER_THAN_CLANG_15 = ("gfx942", "gfx1201")
 LIBCLC = tuple(map(Path, ("/usr/lib/clc", "/usr/share/clc", "/usr/local/share/clc")))
+
+PICTURES: tuple[dict[str, int | float], ...] = (
+    *({"CHANNELS": colors} for colors in (8, FEW_REGISTERS_CHUNK, CHUNK)),
+    {"CHANNELS": CHUNK, "WITH_DEPTH": 1, "WITH_ABSOLUTE": 1},
+)
+VARIANTS: dict[str, tuple[dict[str, int | float], ...]] = {
+    **dict.fromkeys(("channels/forward", "channels/backward", "channels/sums"), PICTURES),
+    "views/views": ({"FISHEYE": 1}, {"BY_COVARIANCE": 1}, {"COMPENSATED": 1}),
+}
+"""Defines of programs that options of users change."""
 
 Resources = dict[str, int]
 Table = dict[str, dict[str, Any]]
@@ -113,19 +125,22 @@ class Compilers:
         """The version of a Debian package, from the name of its file."""
         return next(self.folder.glob(f"packages/{name}_*.deb")).name.split("_")[1]
 
-    def resources(self, target: str, source: Path) -> dict[str, Resources] | None:
-        """Per kernel of a program what it takes; None if the compiler fails."""
+    def resources(self, target: str, source: Path, own: Defines) -> dict[str, Resources] | None:
+        """Per kernel of a program, with defines of its ``own``, what it takes.
+
+        None if the compiler fails.
+        """
         vendor, chip = target.split()
         with tempfile.TemporaryDirectory() as folder:
             try:
                 compile_for = {"intel": self._intel, "amd": self._amd, "nvidia": self._nvidia}
-                return compile_for[vendor](chip, source, Path(folder))
+                return compile_for[vendor](chip, source, Path(folder), own)
             except subprocess.SubprocessError:
                 return None
 
-    def _intel(self, chip: str, source: Path, folder: Path) -> dict[str, Resources]:
-        own = [f"-D{name}={value}" for name, value in FEW_REGISTERS.items()]
-        options = " ".join([*build_options("gpu", exact=chip not in NO_EXACT_DIVISION), *own])
+    def _intel(self, chip: str, source: Path, folder: Path, own: Defines) -> dict[str, Resources]:
+        exact = chip not in NO_EXACT_DIVISION
+        options = " ".join(build_options("gpu", exact, {**FEW_REGISTERS, **own}))
         command = [str(self.ocloc), "compile", "-file", str(source), "-device", chip]
         command += ["-options", options, "-internal_options", "-cl-intel-allow-zebin"]
         _run([*command, "-out_dir", str(folder)], {"LD_LIBRARY_PATH": str(self.libraries)})
@@ -144,11 +159,11 @@ class Compilers:
             }
         return found
 
-    def _amd(self, chip: str, source: Path, folder: Path) -> dict[str, Resources]:
+    def _amd(self, chip: str, source: Path, folder: Path, own: Defines) -> dict[str, Resources]:
         libraries = self.libraries / "amdgcn" / "bitcode"
         flags = ["-target", "amdgcn-amd-amdhsa", f"-mcpu={chip}"]
         flags.append(f"--rocm-device-lib-path={libraries}")
-        text = self._clang(self._clang_for(chip) or [], flags, source, folder)
+        text = self._clang(self._clang_for(chip) or [], flags, source, folder, own)
         fields = {
             "registers": "vgpr_count",
             "spilled": "vgpr_spill_count",
@@ -164,12 +179,12 @@ class Compilers:
             for kernel in kernels
         }
 
-    def _nvidia(self, chip: str, source: Path, folder: Path) -> dict[str, Resources]:
+    def _nvidia(self, chip: str, source: Path, folder: Path, own: Defines) -> dict[str, Resources]:
         library = ["-Xclang", "-mlink-builtin-bitcode", "-Xclang"]
         library.append(f"{self.libclc}/nvptx64--nvidiacl.bc")
         march = min(chip, "sm_75", key=lambda name: int(name[3:]))
         flags = ["-target", "nvptx64--nvidiacl", f"-march={march}"]
-        self._clang([str(self.clang)], [*flags, *library], source, folder)
+        self._clang([str(self.clang)], [*flags, *library], source, folder, own)
         code = str(folder / "code.cubin")
         said = _run([str(self.ptxas), "-v", f"-arch={chip}", "-o", code, str(folder / "code.s")])
         return {
@@ -182,11 +197,13 @@ class Compilers:
             for part in said.split("Compiling entry function '")[1:]
         }
 
-    def _clang(self, clang: list[str], flags: list[str], source: Path, folder: Path) -> str:
+    def _clang(
+        self, clang: list[str], flags: list[str], source: Path, folder: Path, own: Defines
+    ) -> str:
         """The assembly of one program, which also lies in ``code.s``."""
         code = folder / "code.s"
         command = [*clang, "-x", "cl", "-O3", "-S", "-Wno-linker-warnings", *flags]
-        options = build_options("gpu", exact=True)
+        options = build_options("gpu", True, own)
         _run([*command, *options, "-o", str(code), str(source)], self.newer_libraries)
         return code.read_text(encoding="utf-8")
 
@@ -232,18 +249,33 @@ def read_table(file: Path) -> Table:
 
 def measure(compilers: Compilers, versions: dict[str, str]) -> Table:
     """What all kernels take, by target."""
-    names = list(programs_of_form("gpu").values())
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(os.cpu_count()) as pool:
-        sources = [Path(folder, name.replace("/", "_")) for name in names]
-        for name, source in zip(names, sources, strict=True):
-            source.write_text(read_program(name), encoding="utf-8")
+        sources = {}
+        for program, file in programs_of_form("gpu").items():
+            sources[program] = Path(folder, file.replace("/", "_"))
+            sources[program].write_text(read_program(file), encoding="utf-8")
         table: Table = {}
         for target, version in versions.items():
-            every = list(pool.map(lambda source, t=target: compilers.resources(t, source), sources))
-            kernels = {name: value for found in every if found for name, value in found.items()}
-            fails = [name for name, found in zip(names, every, strict=True) if found is None]
+            jobs = list(jobs_of(target))
+            every = pool.map(
+                lambda job, t=target: compilers.resources(t, sources[job[0]], job[1]), jobs
+            )
+            kernels, fails = {}, []
+            for (program, own), found in zip(jobs, every, strict=True):
+                options = "".join(f" {name}={value}" for name, value in own.items())
+                kernels |= {name + options: value for name, value in (found or {}).items()}
+                fails += [program + options] if found is None else []
             table[target] = {"compiler": version, "kernels": kernels, "fails": fails}
     return table
+
+
+def jobs_of(target: str) -> Iterator[tuple[str, Defines]]:
+    """The programs that a target runs, with defines of their own."""
+    for program in programs_of_form("gpu"):
+        for own in ({}, *VARIANTS.get(program, ())):
+            few = target.startswith("intel") and program == "channels/forward"
+            if not few or own.get("CHANNELS", 0) <= FEW_REGISTERS_CHUNK:
+                yield program, own
 
 
 def compare(found: Table, known: Table) -> Iterator[str]:

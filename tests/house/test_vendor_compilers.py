@@ -16,6 +16,24 @@ TABLE = ROOT / "docs" / "benchmarks" / "registers.json"
 LOCAL_MEMORY = 32 * 1024
 """Bytes that every device of OpenCL 1.2 has for a work-group."""
 
+VARIANTS_OF_VIEWS = [
+    f"views_{way} {option}=1"
+    for way in ("forward", "backward")
+    for option in ("FISHEYE", "BY_COVARIANCE", "COMPENSATED")
+]
+MANY_COLORS = [
+    f"channels_backward CHANNELS={options}" for options in ("32", "32 WITH_DEPTH=1 WITH_ABSOLUTE=1")
+]
+TOO_FEW_REGISTERS = {
+    *(
+        (f"intel {chip}", name)
+        for chip in ("skl", "icllp", "tgllp", "dg1", "dg2")
+        for name in MANY_COLORS
+    ),
+    *(("intel pvc", name) for name in (*MANY_COLORS, "views_backward FISHEYE=1")),
+}
+"""Kernels that run 8 work-items at a time, or keep a part of their registers in memory."""
+
 
 @pytest.fixture(scope="module")
 def script():
@@ -42,16 +60,20 @@ def test_the_table_has_every_vendor_and_kernels_that_exist(table):
     assert {target.split()[0] for target in table} == {"intel", "amd", "nvidia"}
     for target, values in table.items():
         assert not values["fails"], target
-        assert values["kernels"].keys() <= kernels, target
+        assert {name.split()[0] for name in values["kernels"]} <= kernels, target
+        assert {"channels_backward CHANNELS=16", *VARIANTS_OF_VIEWS} <= values["kernels"].keys()
 
 
 def test_no_kernel_spills(table):
+    """But for those of pictures of 32 colors on Intel's GPUs, and of a fisheye on pvc."""
+    wrong = set()
     for target, values in table.items():
         for name, taken in values["kernels"].items():
             assert taken["local"] <= LOCAL_MEMORY, (target, name)
-            assert taken["private"] == 0, (target, name)
             assert taken.get("spilled", 0) == 0, (target, name)
-            assert taken.get("simd", 16) >= 16, (target, name)
+            if taken["private"] or taken.get("simd", 16) < 16:
+                wrong.add((target, name))
+    assert wrong == TOO_FEW_REGISTERS
 
 
 @pytest.mark.parametrize("target", ["amd gfx1030", "nvidia sm_86", "intel dg2"])

@@ -28,6 +28,9 @@ from clgs.shapes import Shapes
 CHUNK = 32
 """Most colors of a launch."""
 
+FEW_REGISTERS_CHUNK = 16
+"""The same of the forward pass on a GPU of Intel, which has registers for no more; same bits."""
+
 FIXED_SUMS = 8
 """Sums of a Gaussian before those of its channels."""
 
@@ -113,7 +116,8 @@ def forward(
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
     _check(projected, tiles, picture)
-    for defines, arguments in _launches(device, projected, tiles, records, picture, rows):
+    chunk = FEW_REGISTERS_CHUNK if device.has_few_registers else CHUNK
+    for defines, arguments in _launches(device, projected, tiles, records, picture, rows, chunk):
         device.run(
             device.kernel("channels/forward", "channels_forward", **defines),
             *_grid(device, tiles, rows),
@@ -165,7 +169,7 @@ def accumulate(
     shapes.check("d_left", d_left, "H W", np.float32)
     count, entries = len(projected.opacity), len(tiles.gaussian)
     nothing = device.zeros((height, width))
-    for defines, arguments in _launches(device, projected, tiles, records, picture, rows):
+    for defines, arguments in _launches(device, projected, tiles, records, picture, rows, CHUNK):
         defines = {**defines, "WITH_ABSOLUTE": int(absolute), "FIXED_SUMS": FIXED_SUMS}
         first = arguments["first"]
         moments = 6 + 2 * absolute + int(defines["CHANNELS"]) + int(defines["WITH_DEPTH"])
@@ -233,13 +237,14 @@ def _launches(
     records: DeviceArray,
     picture: Picture,
     rows: tuple[int, int],
+    chunk: int,
 ) -> Iterator[tuple[dict[str, int | float], dict[str, Argument]]]:
-    """Build options and common arguments of the launches, of at most CHUNK colors each."""
+    """Build options and common arguments of the launches, of at most ``chunk`` colors each."""
     colors = projected.color.shape[1]
     height, width = picture.transmittance.shape
     usual = {**blend.defines(device, picture.options), "ALPHA_MAX": picture.alpha_max}
-    for first in range(0, max(colors, 1), CHUNK):
-        count = min(CHUNK, colors - first)
+    for first in range(0, max(colors, 1), chunk):
+        count = min(chunk, colors - first)
         depth = picture.with_depth and first + count == colors
         defines = {**usual, "CHANNELS": count, "WITH_DEPTH": int(depth)}
         yield (

@@ -114,6 +114,28 @@ def test_groups_of_rows_and_forms_change_no_bit(open_device, rng):
         assert all(np.array_equal(a, b) for a, b in zip(results[0], other, strict=True))
 
 
+@pytest.mark.parametrize("colors", [17, 35])
+def test_smaller_launches_for_few_registers_make_the_same_bits(
+    open_device, rng, monkeypatch, colors
+):
+    device, values = open_device("gpu"), scene(rng, colors)
+    background = rng.normal(size=colors + 1).astype(np.float32)
+    images = []
+    for few in (False, True):
+        monkeypatch.setattr(type(device), "has_few_registers", property(lambda self, f=few: f))
+        launches = device.launches
+        made, _ = draw(device, values, background, True, 0.999, [(0, 3)])
+        images.append(
+            (
+                device.launches - launches,
+                device.download(made.image),
+                device.download(made.transmittance),
+            )
+        )
+    assert images[1][0] > images[0][0]
+    assert all(np.array_equal(a, b) for a, b in zip(images[0][1:], images[1][1:], strict=True))
+
+
 def test_nothing_to_draw_shows_the_background(device, rng):
     background = np.array([0.5, -2.0, 1.0], np.float32)
     made, gradients = draw(device, scene(rng, 3, 0), background, False, 0.999, [(0, 3)])
