@@ -22,7 +22,8 @@ VARIANTS_OF_VIEWS = [
     for option in ("FISHEYE", "BY_COVARIANCE", "COMPENSATED")
 ]
 MANY_COLORS = [
-    f"channels_backward CHANNELS={options}" for options in ("32", "32 WITH_DEPTH=1 WITH_ABSOLUTE=1")
+    f"channels_backward CHANNELS={options}"
+    for options in ("16", "32", "32 WITH_DEPTH=1 WITH_ABSOLUTE=1")
 ]
 TOO_FEW_REGISTERS = {
     *(
