@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -268,13 +268,16 @@ class Device:
 
     def hand_over_all(self, arrays: Sequence[DeviceArray]) -> list[npt.NDArray[Any]]:
         """Download several as :meth:`hand_over` does, with one wait for all."""
-        if not self.cl_device.type & cl.device_type.CPU:
-            downloads = [self.download_later(array) for array in arrays]
-            return [download.get() for download in downloads]
-        filled = iter(self._transfers.hand_over([array for array in arrays if array.nbytes]))
-        return [
-            next(filled) if array.nbytes else np.empty(array.shape, array.dtype) for array in arrays
-        ]
+        return self.hand_over_later(arrays)()
+
+    def hand_over_later(
+        self, arrays: Sequence[DeviceArray]
+    ) -> Callable[[], list[npt.NDArray[Any]]]:
+        """Begin :meth:`hand_over_all`; the result waits, and not for later work."""
+        if self.cl_device.type & cl.device_type.CPU:
+            return self._transfers.hand_over(arrays)
+        downloads = [self.download_later(array) for array in arrays]
+        return lambda: [download.get() for download in downloads]
 
     @contextmanager
     def mapped(self, *arrays: DeviceArray) -> Iterator[list[npt.NDArray[Any]]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections import deque
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -161,9 +162,15 @@ class Transfers:
         return MappedView(self._queue, array, self._waits)
 
     @tells_of_loss
-    def hand_over(self, arrays: list[DeviceArray]) -> list[npt.NDArray[Any]]:
-        """The memory of arrays, none of them empty, as arrays of the host; waits once for all."""
-        mapped = [_Mapped(self._queue, array) for array in arrays]
-        if mapped:
-            self._waits.wait(mapped[-1].event)
-        return [np.asarray(one) for one in mapped]
+    def hand_over(self, arrays: Sequence[DeviceArray]) -> Callable[[], list[npt.NDArray[Any]]]:
+        """The memory of arrays as arrays of the host; the result waits, once for all."""
+        mapped = [_Mapped(self._queue, array) if array.nbytes else None for array in arrays]
+        last = next((one.event for one in reversed(mapped) if one), None)
+
+        def wait() -> list[npt.NDArray[Any]]:
+            if last is not None:
+                self._waits.wait(last)
+            pairs = zip(mapped, arrays, strict=True)
+            return [np.asarray(one or np.empty(array.shape, array.dtype)) for one, array in pairs]
+
+        return wait

@@ -19,6 +19,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from clgs.ops.project import Projected
 from clgs.render.rasterization import rasterization as rasterization_of_numpy
 from clgs.render.splat_meta import Meta, meta_of
 from clgs.render.splat_record import SMALLEST_ALPHA
@@ -26,13 +27,13 @@ from clgs.torch.anchors import DecodedAnchors as DecodedAnchors
 from clgs.torch.anchors import decode_anchors as decode_anchors
 from clgs.torch.anchors import quantize as quantize
 from clgs.torch.anchors import rate as rate
-from clgs.torch.functions import Blend, Harmonics
+from clgs.torch.functions import Blend, Harmonics, Project
 from clgs.torch.pixels import isect_offset_encode as isect_offset_encode
 from clgs.torch.pixels import isect_tiles as isect_tiles
 from clgs.torch.pixels import rasterize_to_pixels as rasterize_to_pixels
-from clgs.torch.projection import SIGNATURE, conics_of, project
+from clgs.torch.projection import SIGNATURE, checked_call, conics_of
 from clgs.torch.projection import fully_fused_projection as fully_fused_projection
-from clgs.torch.tensors import BlendCall, ViewsCall, tensor_rows
+from clgs.torch.tensors import BlendCall, ViewsCall, host_of, tensor_rows
 
 STRATEGIES = ("DefaultStrategy", "MCMCStrategy", "Strategy")
 
@@ -86,22 +87,33 @@ def rasterization(*arguments: Any, **others: Any) -> tuple[Tensor, Tensor, Meta]
     bound = SIGNATURE.bind(*arguments, **others)
     bound.apply_defaults()
     given, render_mode = bound.arguments, bound.arguments["render_mode"]
-    call, flat, (centres, whitening, depths, shown, extents) = project(given)
+    call, flat = checked_call(given)
     batch, (b, c) = call.given.batch, call.given.viewmats.shape[:2]
-    means2d = centres if call.packed else centres.reshape(*batch, *centres.shape[1:])
-    color = _colors(call, flat[0], given["colors"], flat[5], given["sh_degree"], render_mode)
     shade = torch.zeros(call.given.backgrounds.shape)
     if given["backgrounds"] is not None and "RGB" in render_mode:
         own = given["backgrounds"].reshape(b, c, -1)
         shade = torch.cat([own, shade[..., own.shape[-1] :]], dim=-1)
-    how = render_mode != "RGB", given["alpha_max"], given["absgrad"]
-    blend = BlendCall(call.device, call.size, call.options, *how, seen=call)
+    how = call.options, render_mode != "RGB", given["alpha_max"], given["absgrad"]
+    blend = BlendCall(call.device, call.size, *how, call.given.backgrounds, seen=call)
+    painted, recorded = [], torch.is_grad_enabled()
+
+    def begin(found: list[Projected]) -> None:
+        """Begin to draw, within the projection: its gradients are added after the colors'."""
+        with torch.set_grad_enabled(recorded):
+            own = given["colors"], flat[5], given["sh_degree"]
+            painted.append(_colors(call, flat[0], *own, render_mode))
+        blend.colors = host_of(painted[0])
+        for (batch, number), one in zip(np.ndindex(b, c), found, strict=True):
+            blend.draw(batch, number, one)
+
+    centres, whitening, depths, left, extents = Project.apply(call, begin, *flat)
+    means2d = centres if call.packed else centres.reshape(*batch, *centres.shape[1:])
     blend.centres = weakref.ref(means2d)
-    image, alphas = Blend.apply(blend, means2d, whitening, depths, shown, extents, color, shade)
+    meta = _meta(call, blend, means2d, depths, whitening, left)
+    image, alphas = Blend.apply(blend, means2d, whitening, depths, left, extents, *painted, shade)
     if "ED" in render_mode:
         divisor = alphas.clamp(min=SMALLEST_ALPHA)
         image = torch.cat([image[..., :-1], image[..., -1:] / divisor], dim=-1)
-    meta = _meta(call, blend, means2d, depths, whitening, shown)
     return image.reshape(*batch, *image.shape[1:]), alphas.reshape(*batch, *alphas.shape[1:]), meta
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from clgs.render.rasterization import default_device
 from clgs.torch.tensors import (
     BlendCall,
     ViewsCall,
-    gathered,
+    gather_later,
     host_of,
     packed_rows,
     stacked,
@@ -36,6 +37,7 @@ class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
     def forward(
         ctx: Any,
         call: ViewsCall,
+        begin: Callable[[list[Projected]], None] | None,
         means: Tensor,
         quats: Tensor | None,
         scales: Tensor | None,
@@ -43,7 +45,7 @@ class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         opacities: Tensor,
         viewmats: Tensor,
     ) -> tuple[Tensor, ...]:
-        """Project; returns centres, factors, depths, opacities, extents."""
+        """Project, and ``begin`` to draw; returns centres, factors, depths, opacities, extents."""
         device, given = call.device, call.given
         shape = given.scales if given.covars is None else given.covars
         assert shape is not None
@@ -69,7 +71,10 @@ class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
                 )
         sizes = given.viewmats.shape[0], given.viewmats.shape[1], given.means.shape[1]
         names = {"mean2d": 2, "whitening": 3, "depth": None, "opacity": None, "extent": 2}
-        results = list(gathered(device, found, names, sizes).values())
+        gather = gather_later(device, found, names, sizes)
+        if begin is not None:  # the device blends while the host goes on
+            begin(found)
+        results = list(gather().values())
         call.centres, call.extents = results[0], results[4]
         if call.packed:
             call.rows = np.flatnonzero(call.extents[..., 0])
@@ -91,7 +96,7 @@ class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         by_screen = [None if one is None else host_of(one) for one in d[:4]]
         if by_screen[0] is not None:
             by_screen[0] = unpacked_rows(call.rows, by_screen[0], sizes)
-        want_camera = ctx.needs_input_grad[6]
+        want_camera = ctx.needs_input_grad[7]
         sums: dict[str, list[npt.NDArray[Any]]] = {}
         d_viewmats = np.zeros(call.given.viewmats.shape, np.float32)
         for at, (batch, number) in enumerate(np.ndindex(extent.shape[:2])):
@@ -129,6 +134,7 @@ class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
             d_shape = None
         return (
             None,
+            None,
             total.get("d_mean"),
             total.get("d_rotation"),
             d_shape,
@@ -140,6 +146,8 @@ class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
 
 class Blend(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
     """Centres and all else of the screen to images (B, C, H, W, X) and alphas (B, C, H, W, 1).
+
+    The projection of the same call has begun to draw them, if there is one.
 
     centres: (B, C, N, 2), or as the projection of the same call packed them; colors:
     (B, 1 or C, N, D).
@@ -159,23 +167,18 @@ class Blend(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
     ) -> tuple[Tensor, Tensor]:
         """Blend; returns images and alphas."""
         device = call.device
-        every = host_of(centres) if call.seen is None else call.seen.centres
-        arrays = [every, *(host_of(one) for one in (whitening, depths, extents))]
-        color, opacity, background = host_of(colors), host_of(opacities), host_of(backgrounds)
-        for at, (batch, number) in enumerate(np.ndindex(whitening.shape[:2])):
-            mean2d, factor, depth, extent = (device.share(one[batch, number]) for one in arrays)
-            own = device.share(color[batch, number % color.shape[1]])
-            shown = device.share(opacity[batch, number])
-            projected = Projected(mean2d, factor, depth, extent, own, shown)
-            shade = device.share(background[batch, number])
-            lists = None if call.lists is None else call.lists[at]
-            how = call.with_depth, call.alpha_max, call.options, lists
-            call.drawn.append(channel_picture.draw(device, projected, call.size, shade, *how))
+        if call.seen is None:
+            arrays = [host_of(one) for one in (centres, whitening, depths, extents, opacities)]
+            none = device.empty((whitening.shape[2], 0))
+            for batch, number in np.ndindex(whitening.shape[:2]):
+                own = (device.share(one[batch, number]) for one in arrays)
+                mean2d, factor, depth, extent, opacity = own
+                call.draw(batch, number, Projected(mean2d, factor, depth, extent, none, opacity))
         width, height = call.size
         sizes = whitening.shape[0], whitening.shape[1], height
         made = [one.picture for one in call.drawn]
         names = {"image": backgrounds.shape[-1], "transmittance": None}
-        image, left = gathered(device, made, names, (*sizes, width)).values()
+        image, left = gather_later(device, made, names, (*sizes, width))().values()
         # the tensors own the memory that the device has
         ctx.save_for_backward(centres, whitening, depths, opacities, extents, colors, backgrounds)
         ctx.call, ctx.left = call, torch.from_numpy(left)
@@ -207,7 +210,7 @@ class Blend(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         names = {"d_mean2d": 2, "d_whitening": 3, "d_opacity": None, "d_color": colors.shape[-1]}
         names |= {"d_depth": None} if call.with_depth else {}
         names |= {"d_absolute": 2} if call.absgrad else {}
-        made = gathered(device, found, names, sizes)
+        made = gather_later(device, found, names, sizes)()
         centres = call.centres() if call.centres is not None else None
         if call.absgrad and centres is not None:
             absolute = packed_rows(rows, made["d_absolute"])

@@ -173,10 +173,11 @@ def rasterize_to_pixels(
     numbers = host_of(flatten_ids).astype(np.int64), host_of(isect_offsets).astype(np.int64)
     shown_tiles = None if masks is None else host_of(masks)
     lists = _lists(device, size, count, packed, *numbers, shown_tiles)
-    call = BlendCall(device, size, DEFAULT, False, ALPHA_MAX, absgrad, lists=lists)
-    call.centres = weakref.ref(means2d)
     shade = torch.zeros(*images, channels) if backgrounds is None else backgrounds
     shade, depths = shade.reshape(pictures, 1, channels), torch.zeros(pictures, 1, count)
+    how = DEFAULT, False, ALPHA_MAX, absgrad, host_of(shade), host_of(color)
+    call = BlendCall(device, size, *how, lists=lists)
+    call.centres = weakref.ref(means2d)
     image, alphas = Blend.apply(call, centres, factors, depths, shown, centres, color, shade)
     return image.reshape(*images, *image.shape[2:]), alphas.reshape(*images, *alphas.shape[2:])
 

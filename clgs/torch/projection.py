@@ -24,14 +24,14 @@ REACH = 3.33
 NAMES = ("means", "quats", "scales", "opacities", "colors", "viewmats", "Ks", "backgrounds")
 
 
-def project(
+def checked_call(
     given: dict[str, Any], reach: float | None = None
-) -> tuple[ViewsCall, list[Tensor | None], tuple[Tensor, ...]]:
-    """Project by the arguments of ``rasterization``, which are checked; ``reach``: as of ``Lens``.
+) -> tuple[ViewsCall, list[Tensor | None]]:
+    """Check the arguments of ``rasterization``; ``reach``: as of ``Lens``.
 
     Returns:
-        What the call shares; means, quats, scales, covars, opacities and viewmats as flat batches;
-        centres, whitening factors, depths, opacities and extents, see :class:`Project`.
+        What the call shares, and what :class:`Project` takes last: means, quats, scales,
+        covars, opacities and viewmats as flat batches.
     """
     lens = replace(checked_lens(given), reach=reach)
     by_covariance = given["covars"] is not None
@@ -49,7 +49,7 @@ def project(
         else given[name].reshape(b, *given[name].shape[skipped:])
         for name in names
     ]  # fmt: skip
-    return call, flat, Project.apply(call, *flat)
+    return call, flat
 
 
 def conics_of(whitening: Tensor) -> Tensor:
@@ -118,9 +118,8 @@ def fully_fused_projection(  # noqa: PLR0913  gsplat's arguments
         camera_model=camera_model, covars=covars,
     )  # fmt: skip
     bound.apply_defaults()
-    call, flat, (centres, whitening, depths, left, _) = project(
-        bound.arguments, REACH if opacities is None else None
-    )
+    call, flat = checked_call(bound.arguments, REACH if opacities is None else None)
+    centres, whitening, depths, left, _ = Project.apply(call, None, *flat)
     batch, shared = call.given.batch, flat[4]
     if opacities is not None and shared is not None:
         left = left / shared[:, None].clamp(min=1e-30)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -15,6 +15,7 @@ from torch import Tensor
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops.general import views
+from clgs.ops.project import Projected
 from clgs.ops.tiles import TileLists
 from clgs.options import RenderOptions
 from clgs.render import channel_picture
@@ -52,8 +53,9 @@ class ViewsCall:
 class BlendCall:
     """What the blending of one call shares; pictures count batches first.
 
-    seen: the projection, if it is of the same call; lists: the tile lists of every picture, if
-    they are given; centres: the tensor that receives absolute gradients.
+    colors (B, 1 or C, N, D) and backgrounds (B, C, X); seen: the projection, if it is of the same
+    call; lists: the tile lists of every picture, if they are given; centres: the tensor that
+    receives absolute gradients.
     """
 
     device: Device
@@ -62,10 +64,21 @@ class BlendCall:
     with_depth: bool
     alpha_max: float
     absgrad: bool
+    backgrounds: Floats
+    colors: Floats = field(default_factory=lambda: np.empty(0, np.float32))
     seen: ViewsCall | None = None
     lists: list[TileLists] | None = None
     drawn: list[channel_picture.Drawn] = field(default_factory=list)
     centres: Any = None
+
+    def draw(self, batch: int, number: int, projected: Projected) -> None:
+        """Begin to draw the next picture; the colors of ``projected`` are not read."""
+        own = self.colors[batch, number % self.colors.shape[1]]
+        colored = replace(projected, color=self.device.share(own))
+        shade = self.device.share(self.backgrounds[batch, number])
+        lists = None if self.lists is None else self.lists[len(self.drawn)]
+        how = self.with_depth, self.alpha_max, self.options, lists
+        self.drawn.append(channel_picture.draw(self.device, colored, self.size, shade, *how))
 
 
 def checked(name: str, tensor: Any) -> npt.NDArray[Any] | None:
@@ -89,21 +102,25 @@ def stacked(arrays: list[npt.NDArray[Any]]) -> npt.NDArray[Any]:
     return arrays[0][None] if len(arrays) == 1 else np.stack(arrays)
 
 
-def gathered(
+def gather_later(
     device: Device, found: Sequence[object], names: dict[str, int | None], sizes: tuple[int, ...]
-) -> dict[str, Floats]:
+) -> Callable[[], dict[str, Floats]]:
     """Fields of the records of all pictures, arrays of the device that nothing writes to any more.
 
     ``names``: of the fields, and the length of their last axis, if they have one after ``sizes``.
+    The result waits, and not for later work of the device.
     """
-    arrays = [getattr(one, name) for name in names for one in found]
-    hosts = iter(device.hand_over_all(arrays))
-    result = {}
-    for name, width in names.items():
-        shape = sizes if width is None else (*sizes, width)
-        own = [next(hosts) for _ in found]
-        result[name] = stacked(own).reshape(shape) if own else np.zeros(shape, np.float32)
-    return result
+    finish = device.hand_over_later([getattr(one, name) for name in names for one in found])
+
+    def wait() -> dict[str, Floats]:
+        hosts, result = iter(finish()), {}
+        for name, width in names.items():
+            shape = sizes if width is None else (*sizes, width)
+            own = [next(hosts) for _ in found]
+            result[name] = stacked(own).reshape(shape) if own else np.zeros(shape, np.float32)
+        return result
+
+    return wait
 
 
 def packed_rows(rows: npt.NDArray[np.int64] | None, every: Floats) -> Floats:
