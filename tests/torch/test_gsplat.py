@@ -18,7 +18,7 @@ MODES = ("RGB", "D", "ED", "RGB+D", "RGB+ED")
 LIMIT, QUOTIENT_LIMIT = 1e-4, 1e-3
 
 
-def compare(given, how, rng):
+def compare(given, how, rng, **ours_alone):
     """Largest difference of the pictures, and of each gradient relative to its length."""
     trained = [name for name, value in given.items() if isinstance(value, np.ndarray)]
     trained.remove("Ks")
@@ -31,7 +31,8 @@ def compare(given, how, rng):
             else value
             for name, value in given.items()
         }
-        image, alpha = module.rasterization(**tensors, **how)[:2]
+        own = ours_alone if module is ours else {}
+        image, alpha = module.rasterization(**tensors, **how, **own)[:2]
         if weights is None:
             weights = [torch.tensor(rng.normal(size=one.shape)) for one in (image, alpha)]
         loss = sum(
@@ -110,6 +111,22 @@ def test_batches_covariances_and_colors_by_camera(rng):
     # ours reads the upper triangle, as gsplat's kernel does; its PyTorch code reads both
     symmetric.pop("d_covars")
     assert max(symmetric.values()) < LIMIT
+
+
+@pytest.mark.parametrize("batch", [(), (2,), (1, 2)])
+@pytest.mark.parametrize("render_mode", ["RGB", "RGB+D", "D"])
+def test_all_combinations_of_gsplats_own_test(rng, render_mode, batch):
+    for by_camera, degree, packed in itertools.product((True, False), (None, 3), (True, False)):
+        given = scene(rng, 20, 3, 3, degree)
+        if by_camera:
+            scale = rng.uniform(0.5, 1, (3, *[1] * given["colors"].ndim)).astype(np.float32)
+            given["colors"] = given["colors"] * scale
+        for name, value in given.items():
+            if isinstance(value, np.ndarray):
+                given[name] = np.broadcast_to(value, (*batch, *value.shape)).copy()
+        given["means"] += rng.normal(0, 0.1, given["means"].shape).astype(np.float32)
+        errors = compare(given, {"render_mode": render_mode}, rng, packed=packed)
+        assert max(errors.values()) < LIMIT, (by_camera, degree, packed, errors)
 
 
 def test_spherical_harmonics(rng):

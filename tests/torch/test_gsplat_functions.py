@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 import pytest
@@ -112,31 +113,37 @@ def test_tile_lists(rng, tile_size):
         ours.isect_tiles(*flat, *given[3:], packed=True)
 
 
-def screen(rng, channels):
-    """What a scene is on the screen of two cameras, as leaves, and its tile lists."""
+def screen(rng, channels, batch=()):
+    """What scenes are on the screens of two cameras each, as leaves, and their tile lists."""
     given = {n: torch.tensor(v) for n, v in scene(rng).items() if isinstance(v, np.ndarray)}
+    given = {name: one.expand(*batch, *one.shape) for name, one in given.items()}
+    images = *batch, 2
     radii, means2d, depths, conics, _ = ours.fully_fused_projection(
         given["means"], None, given["quats"], given["scales"], given["viewmats"], given["Ks"], *SIZE
     )
-    colors = torch.tensor(rng.uniform(0, 1, (2, 40, channels)), dtype=torch.float32)
-    opacities = given["opacities"].expand(2, 40)
-    shade = torch.tensor(rng.uniform(0, 1, (2, channels)), dtype=torch.float32)
+    colors = torch.tensor(rng.uniform(0, 1, (*images, 40, channels)), dtype=torch.float32)
+    opacities = given["opacities"][..., None, :].expand(*images, 40)
+    shade = torch.tensor(rng.uniform(0, 1, (*images, channels)), dtype=torch.float32)
     _, ids, rows = ours.isect_tiles(means2d, radii, depths, 16, *GRID)
-    offsets = ours.isect_offset_encode(ids, 2, *GRID)
+    offsets = ours.isect_offset_encode(ids, math.prod(images), *GRID)
+    offsets = offsets.reshape(*images, *offsets.shape[1:])
     leaves = [one.detach().clone() for one in (means2d, conics, colors, opacities, shade)]
     return [one.requires_grad_() for one in leaves], (*SIZE, 16, offsets, rows), depths, radii
 
 
-@pytest.mark.parametrize("channels", [3, 33])
-def test_pixels(rng, channels):
-    leaves, lists, depths, radii = screen(rng, channels)
+@pytest.mark.parametrize("channels", [3, 32, 33, 128])
+@pytest.mark.parametrize("batch", [(), (2,), (1, 2)])
+def test_pixels(rng, channels, batch):
+    leaves, lists, depths, radii = screen(rng, channels, batch)
     *splats, shade = leaves
     image, alpha = ours.rasterize_to_pixels(*splats, *lists, backgrounds=shade, absgrad=True)
     leaves64 = [one.detach().double().requires_grad_() for one in leaves]
     centre, conic, color, opacity, shade64 = leaves64
-    sorted_by = zip(centre, conic, opacity, depths, radii, color, shade64, strict=True)
-    drawn = [theirs._blend(*one, *SIZE) for one in sorted_by]
-    wanted = [torch.stack([one[i] for one in drawn]).reshape(2, *SIZE[::-1], -1) for i in (0, 1)]
+    sorted_by = [one.reshape(-1, *one.shape[len(batch) + 1 :])
+                 for one in (centre, conic, opacity, depths, radii, color, shade64)]  # fmt: skip
+    drawn = [theirs._blend(*one, *SIZE) for one in zip(*sorted_by, strict=True)]
+    shape = *batch, 2, *SIZE[::-1], -1
+    wanted = [torch.stack([one[i] for one in drawn]).reshape(shape) for i in (0, 1)]
     for one, other in zip((image, alpha), wanted, strict=True):
         assert (one - other).abs().max() < 1e-5
     weights = [torch.tensor(rng.normal(size=one.shape)) for one in wanted]
