@@ -126,7 +126,7 @@ def run(args: argparse.Namespace) -> int:
     check_new(args.output, args.overwrite, path, mlps)
     check_suffix(args.output, ".clgs")
     target = args.target_size is not None or args.target_psnr is not None
-    _check_together(args, target)
+    _check_together(args.all_views, args.data, target, args.layers)
     views = view_options(vars(args))
     if target or args.layers:  # imports much that a plain encode does not need
         from clgs.workflow.encode import encode_within, importance_in_views
@@ -162,15 +162,15 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _check_together(args: argparse.Namespace, target: bool) -> None:
+def _check_together(all_views: bool, data: Path | None, target: bool, layers: int | None) -> None:
     """Raise UsageError if an option has no use, or does not go with another."""
     from clgs.errors import UsageError
 
-    if args.all_views and not target:
+    if all_views and not target:
         raise UsageError("--all-views serves --target-size and --target-psnr; give one of them")
-    if args.data is not None and not (target or args.layers):
+    if data is not None and not (target or layers):
         raise UsageError("--data serves --target-size, --target-psnr and --layers; give one")
-    if target and args.layers:
+    if target and layers:
         raise UsageError("--layers and a target: encode to the target, then that file in layers")
 
 
