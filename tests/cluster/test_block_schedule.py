@@ -42,16 +42,30 @@ def test_the_parts_follow_each_other(steps, share):
 def test_a_block_learns_as_fast_as_the_whole_at_the_same_share_of_the_steps():
     block, begun = block_config(WHOLE, 0.25, LEFT)
     assert begun == 1875
-    assert block.steps == 5250
-    for step in (1875, 3000, 5250):
+    assert block.steps == 3750  # the others follow the switch to integers
+    for step in (1875, 3000, 3750):
         assert learning_rates(block, step, 1.0) == learning_rates(WHOLE, 4 * step, 1.0)
     assert block.growth_interval == 25  # its anchors are seen four times as often
-    assert block.growth_end == WHOLE.growth_end // 4 + 25
+    assert block.growth_end == 3749
 
 
 def test_the_coarse_scene_has_half_the_size_of_the_photos():
     assert coarse_config(WHOLE, 1001).max_size == 500
-    assert coarse_config(replace(WHOLE, downscale=3), 300).downscale == 6
+    assert coarse_config(replace(WHOLE, downscale=3), 800).downscale == 6
+
+
+def test_small_photos_of_the_coarse_scene_keep_their_size():
+    assert coarse_config(WHOLE, 700).max_size == 400
+    assert coarse_config(WHOLE, 160).max_size == 160
+    assert coarse_config(replace(WHOLE, downscale=3), 799).downscale == 3
+
+
+@pytest.mark.parametrize("switch", [0, 200, 900, 1000])
+def test_an_early_or_late_switch_leaves_steps_to_each_part(switch):
+    config = replace(WHOLE.scaled(1000), growth_start=0, growth_end=0, statistics_start=0)
+    config = replace(config, switch_step=switch, freeze_step=1000)
+    coarse, block = coarse_config(config, 1000), block_config(config, 1.0, LEFT)[0]
+    assert coarse.steps < block.steps <= joint_config(config).switch_step < 1000
 
 
 @pytest.mark.parametrize(

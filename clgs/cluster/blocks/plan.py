@@ -35,7 +35,7 @@ START = "start.npz"
 
 GROWTH = 4.0
 """A scene at full size is taken to need this many times the memory of the coarse one: a photo
-has four times the pixels, and shows about four times the anchors."""
+has up to four times the pixels, and shows about four times the anchors."""
 
 SPARE = 1.5
 """A block also holds its margin, and what its cameras see of others."""

@@ -18,8 +18,10 @@ from clgs.train.config.settings import FINE_Q
 COARSE_SHARE = 0.25
 """Share of the steps that the coarse scene takes."""
 
-JOINT_SHARE = 0.3
-"""Share of the steps at the end, in which the merged scene is priced and learns as a whole."""
+COARSE_WIDTH = 400
+"""Pixels: photos of the coarse scene are half as wide as others, but no narrower than this. From
+narrower ones the MLPs learn too little for blocks, in which they rest.
+"""
 
 LEAST_STEPS = 10
 """Shorter runs have no room for three parts."""
@@ -40,15 +42,17 @@ def check_settings(config: TrainConfig) -> None:
 
 
 def coarse_config(config: TrainConfig, width: int) -> TrainConfig:
-    """The settings of the coarse scene: photos at half their size, the widest has ``width``.
+    """The settings of the coarse scene: photos at half their size if wide enough.
 
-    ``config`` is resolved for the data set.
+    ``config`` is resolved for the data set; ``width``: of its widest photo in pixels.
     """
     steps = round(COARSE_SHARE * config.steps)
     limits: dict[str, Any] = {"max_anchors": config.most_anchors, "target_size": 0}
     if config.downscale:
-        return _unpriced(replace(config, **limits, downscale=2 * config.downscale), steps)
-    return _unpriced(replace(config, **limits, max_size=max(LEAST_SIZE, width // 2)), steps)
+        times = 2 if width // 2 >= COARSE_WIDTH else 1
+        return _unpriced(replace(config, **limits, downscale=times * config.downscale), steps)
+    reduced = max(width // 2, min(width, COARSE_WIDTH), LEAST_SIZE)
+    return _unpriced(replace(config, **limits, max_size=reduced), steps)
 
 
 def block_config(config: TrainConfig, share: float, box: str) -> tuple[TrainConfig, int]:
@@ -73,18 +77,17 @@ def block_config(config: TrainConfig, share: float, box: str) -> tuple[TrainConf
 
 
 def joint_begin(config: TrainConfig) -> int:
-    """The number of the last step before the merged scene is trained as a whole."""
-    return config.steps - max(2, round(JOINT_SHARE * config.steps))
+    """The number of the last step before the merged scene is trained as a whole.
+
+    That of the switch to integers, as far as it leaves steps to each of the three parts.
+    """
+    return min(max(config.switch_step, round(COARSE_SHARE * config.steps) + 2), config.steps - 2)
 
 
 def joint_config(config: TrainConfig) -> TrainConfig:
-    """The settings of the merged scene: what follows the switch to integers, in fewer steps."""
-    begin, switch = joint_begin(config), config.switch_step
-    times = (config.steps - begin) / max(1, config.steps - switch)
-    later = {
-        name: min(config.steps, begin + round(times * max(0, getattr(config, name) - switch)))
-        for name in ("freeze_step", "mlp_switch_step")
-    }
+    """The settings of the merged scene: what follows the switch to integers in any run."""
+    begin = joint_begin(config)
+    later = {name: max(begin, getattr(config, name)) for name in ("freeze_step", "mlp_switch_step")}
     later["prune_end"] = later["freeze_step"]  # no round before thinned what grew
     growth = {
         name: min(getattr(config, name), begin)
