@@ -175,15 +175,16 @@ def _cut_degree(columns: Columns, path: Path) -> None:
 def _apply_filter(columns: Columns) -> None:
     """Make Mip-Splatting's 3-D filter part of scales and opacities (Yu et al. 2024, section 4.1).
 
-    Variances grow by the filter's, and opacities shrink as the volume grows.
+    Variances grow by the filter's, and opacities shrink as the volume grows: that of a flat splat
+    by its area, because any thickness would be infinitely many times its own.
     """
     variance = columns.pop(FILTER).astype(np.float64) ** 2
     limit = LOG_SCALE_LIMIT
     shrunk = np.zeros(len(variance))
     for name in SCALE:
-        before = np.exp(2 * np.clip(columns[name].astype(np.float64), -limit, limit))
-        after = 0.5 * np.log(before + variance)
-        shrunk += 0.5 * np.log(before) - after
+        before = np.clip(columns[name].astype(np.float64), -limit, limit)
+        after = 0.5 * np.log(np.exp(2 * before) + variance)
+        shrunk += np.where(before > -limit, before - after, 0.0)
         columns[name] = after.astype(columns[name].dtype)
     opacity = sigmoid(columns["opacity"]) * np.exp(shrunk)
     columns["opacity"] = logit(opacity).astype(columns["opacity"].dtype)
