@@ -28,7 +28,7 @@ def has_other_digits(text: str) -> bool:
 def number(text: str) -> int | float | None:
     """The number in ``text``; None if it is none. 1e3 is a whole number, 1000.0 is not."""
     text = text.strip().lower()
-    if not text.isascii():
+    if not text.isascii() or "_" in text:  # which Python takes between digits
         return None
     if re.fullmatch(r"[+-]?\d{1,30}", text):
         return int(text)
