@@ -86,6 +86,15 @@ class Lens:
         return self.fisheye or any((*self.radial, *self.divisor, *self.tangential, self.skew))
 
     @property
+    def is_of_another_size(self) -> bool:
+        """Whether the principal point is that of a raster of another size.
+
+        It then lies outside, or far from the middle by the same share of the width and the height.
+        """
+        x, y = self.cx / self.width, self.cy / self.height
+        return not self.holds_its_centre or (abs(x - y) < 0.02 and abs(x - 0.5) > 0.2)
+
+    @property
     def holds_its_centre(self) -> bool:
         """Whether the principal point lies in the raster."""
         return 0 <= self.cx <= self.width and 0 <= self.cy <= self.height

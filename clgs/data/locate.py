@@ -170,7 +170,7 @@ def locate(listed: ListedPhoto, root: Path, files: PhotoFolder) -> Photo | None:
 
     Raises:
         DataError: a path leads out of the data set, the photo cannot be read, or its aspect ratio
-            is not that of the lens, or the list gives no size and a centre outside of the photo; or
+            is not that of the lens, or the list gives no size and a centre of another one; or
             the listed mask is missing.
     """
     path = files.find(listed)
@@ -178,9 +178,9 @@ def locate(listed: ListedPhoto, root: Path, files: PhotoFolder) -> Photo | None:
         return None
     size = posed_size(path, listed.size)
     lens = fit_lens(listed.lens(*(listed.size or size)), size, path)
-    if listed.size is None and not lens.holds_its_centre:
+    if listed.size is None and lens.is_of_another_size:
         raise DataError(
-            f"{listed.source}: the centre of the lens, {lens.cx:g} {lens.cy:g}, lies outside of "
+            f"{listed.source}: the centre of the lens, {lens.cx:g} {lens.cy:g}, is not that of "
             f"{path.name!r}, which is {lens.width}x{lens.height}; give the w and h it is for"
         )
     name = path.relative_to(files.path).as_posix()

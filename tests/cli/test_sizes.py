@@ -153,6 +153,12 @@ def test_digits_of_other_scripts_are_refused_with_the_reason(words, capsys):
     assert re.search("\u0665[km]? has digits other than 0 to 9; ", capsys.readouterr().err)
 
 
+@pytest.mark.parametrize("words", ["--steps 1_000", "--lambda 1_0", "--set steps=1_000"])
+def test_numbers_have_no_underscores(words, capsys):
+    assert exit_code(f"train p -o x {words}".split()) == 2
+    assert re.search(r"1_0+\b", capsys.readouterr().err)
+
+
 @pytest.mark.parametrize(
     ("words", "value"),
     [

@@ -223,10 +223,13 @@ def test_a_centre_outside_of_its_photo_is_told(tmp_path, caplog, kind):
 
 
 @pytest.mark.parametrize("absent", ["w", "h", "wh"])
-def test_a_lens_for_photos_of_another_unknown_size_is_refused(tmp_path, absent):
-    document = write_transforms(tmp_path, 2, fl_x=1000.0, cx=200.0, cy=150.0, w=400, h=300)
+@pytest.mark.parametrize("centre", [(200, 150), (40, 30), (32.2, 24.0), (10, 7.5)])
+def test_a_lens_for_photos_of_another_unknown_size_is_refused(tmp_path, absent, centre):
+    sizes = {"w": 2 * round(centre[0]), "h": 2 * round(centre[1])}
+    document = write_transforms(tmp_path, 2, fl_x=1000.0, cx=centre[0], cy=centre[1], **sizes)
     save_json(tmp_path, {name: document[name] for name in document if name not in absent})
-    with pytest.raises(DataError, match=r"frame 0: .* 200 150, .* is 40x30; give the w and h"):
+    named = "{:g} {:g}".format(*centre)
+    with pytest.raises(DataError, match=rf"frame 0: .* {named}, .* is 40x30; give the w and h"):
         read_transforms(tmp_path)
 
 
