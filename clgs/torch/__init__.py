@@ -86,7 +86,11 @@ def rasterization(*arguments: Any, **others: Any) -> tuple[Tensor, Tensor, Meta]
     """
     bound = SIGNATURE.bind(*arguments, **others)
     bound.apply_defaults()
-    given, render_mode = bound.arguments, bound.arguments["render_mode"]
+    given = {
+        name: value.item() if isinstance(value, Tensor) and not value.ndim else value
+        for name, value in bound.arguments.items()
+    }
+    render_mode = given["render_mode"]
     call, flat = checked_call(given)
     batch, (b, c) = call.given.batch, call.given.viewmats.shape[:2]
     shade = torch.zeros(call.given.backgrounds.shape)

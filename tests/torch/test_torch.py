@@ -143,6 +143,15 @@ def test_what_is_refused(rng, changes, error, match):
         ours.rasterization(**{**tensors(scene(rng)), **changes})
 
 
+def test_tensors_of_one_number_are_numbers(rng):
+    given = tensors(scene(rng))
+    plain = ours.rasterization(**given, near_plane=0.5)[0]
+    numbers = {name: torch.tensor(given.pop(name)) for name in ("width", "height")}
+    assert torch.equal(
+        ours.rasterization(**given, **numbers, near_plane=torch.tensor(0.5))[0], plain
+    )
+
+
 def test_nothing_to_draw(rng):
     given = tensors(scene(rng, 0, 2))
     image, alpha, meta = ours.rasterization(**given)
