@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,9 +13,13 @@ import pytest
 from clgs.cli.main import main
 from clgs.cluster import engine, worker
 from clgs.cluster.blocks import run as blocks_run
+from clgs.cluster.blocks.merge import merged_scene, merged_state
 from clgs.cluster.blocks.plan import read_plan
+from clgs.data.dataset import load_dataset
+from clgs.data.origin import repose
 from clgs.errors import DataError, UsageError
 from clgs.scene.storage import load_scene
+from clgs.train.config import preset
 from clgs.train.run.run_folder import RESULTS
 from clgs.train.state.checkpoint import checkpoints
 from tests.cluster.kill import killed_once
@@ -70,6 +75,17 @@ def test_blocks_learn_their_own_anchors_and_leave_the_networks(trained):
         assert all(before[place] == after[place] for place in outside)
         inside = set(before) & set(after) - outside
         assert sum(before[place] != after[place] for place in inside) > len(inside) / 2
+
+
+@pytest.mark.parametrize("price", [0.0, 1.0])
+def test_with_a_price_the_least_anchors_of_the_blocks_go(trained, balls, open_device, price):
+    coarse = load_scene(trained / "coarse" / "scene.npz")
+    merged = merged_scene(trained / "blocks", read_plan(trained / "blocks").cuts, coarse)
+    dataset, count = repose(load_dataset(balls), merged.transform), len(merged.anchors)
+    config = replace(preset("default"), size_lambda=price).scaled(400).for_dataset(dataset.kind)
+    state = merged_state(open_device("cpu"), dataset, merged, config.switch_step, config)
+    left = state.parameters.count
+    assert left == count if price == 0.0 else 0.49 * count <= left < count
 
 
 def test_a_finished_run_is_left_as_it_is_and_other_blocks_are_refused(trained, balls, capsys):

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from clgs.cluster.blocks.cuts import parse_counts
-from clgs.cluster.blocks.merge import merged_scene
+from clgs.cluster.blocks.merge import merged_scene, merged_state
 from clgs.cluster.blocks.plan import (
     PLAN,
     Plan,
@@ -19,7 +19,7 @@ from clgs.cluster.blocks.plan import (
     up_of,
 )
 from clgs.cluster.blocks.schedule import check_settings, coarse_config, joint_begin, joint_config
-from clgs.cluster.blocks.task import block_state, block_tasks, train_block
+from clgs.cluster.blocks.task import block_tasks, train_block
 from clgs.cluster.engine import (
     Message,
     common_kind,
@@ -151,7 +151,7 @@ def train_in_blocks(
     on_event(Note(f"{len(merged.anchors):,} anchors merged; all learn for the steps that are left"))
     whole = load_for(joint, data, folder, lambda line: on_event(Note(line)))
     whole = repose(whole, merged.transform)
-    first = partial(block_state, opened, whole, merged, joint_begin(config))
+    first = partial(merged_state, opened, whole, merged, joint_begin(config))
     session = Session(whole, folder, joint, opened, resume=True, first=first)
     result = session.run(_report(joint, on_event))
     lead = f"Trained on {data} in {len(tasks)} blocks."
