@@ -28,6 +28,11 @@ _ROUNDS = 25
 _BAND_PIXELS = 65_536
 """Pixels resampled at a time, so that the work stays in the cache."""
 
+_ALIKE, _OFF = 0.02, 0.2
+"""Shares of the sides of a raster: its centre is that of another raster if its places along both
+are alike within the one and off the middle by more than the other.
+"""
+
 _one_at_a_time = Lock()
 """Held while sources are computed, so that threads wait for them instead of repeating the work."""
 
@@ -92,7 +97,7 @@ class Lens:
         It then lies outside, or far from the middle by the same share of the width and the height.
         """
         x, y = self.cx / self.width, self.cy / self.height
-        return not self.holds_its_centre or (abs(x - y) < 0.02 and abs(x - 0.5) > 0.2)
+        return not self.holds_its_centre or (abs(x - y) < _ALIKE and abs(x - 0.5) > _OFF)
 
     @property
     def holds_its_centre(self) -> bool:
