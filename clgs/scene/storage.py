@@ -117,12 +117,24 @@ def load_archive(file: BinaryIO) -> Any:
         DAMAGE: as of np.load.
     """
     if zipfile.is_zipfile(file):
-        size = file.seek(0, os.SEEK_END)
         with zipfile.ZipFile(file) as archive:
-            declared = sum(member.file_size for member in archive.infolist())
-        check_declared(declared, size)
+            check_members(archive, file.seek(0, os.SEEK_END))
     file.seek(0)
     return np.load(file, allow_pickle=False)
+
+
+def check_members(archive: zipfile.ZipFile, size: int) -> None:
+    """Check what a zip archive of ``size`` bytes declares, which may be wrong.
+
+    Of members that are compressed by bzip2 or LZMA, zipfile unpacks as much as there is.
+
+    Raises:
+        ValueError: its members are too large for it, or are compressed in such a way.
+    """
+    for member in archive.infolist():
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise ValueError(f"{member.filename} is compressed, but not by deflate")
+    check_declared(sum(member.file_size for member in archive.infolist()), size)
 
 
 def _can_hold(path: Path, error: MemoryError) -> bool:

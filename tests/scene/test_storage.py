@@ -10,10 +10,12 @@ import zipfile
 import numpy as np
 import pytest
 
+from clgs.data.splats.gaussians import load_splats
 from clgs.data.splats.mlps_archive import load_mlps
 from clgs.errors import DataError, UsageError
 from clgs.lab.bench.codec_subjects import file_subjects
 from clgs.scene.storage import ARRAY_NAMES, LATER, load_scene, save_scene
+from clgs.train.quality.lpips import expected_arrays, read_lpips_weights
 from clgs.train.state import checkpoint
 from tests.codec.scenes import assert_same, random_scene
 
@@ -144,6 +146,32 @@ def test_declared_sizes_are_bounded_before_anything_is_read(tmp_path, read):
     path = bomb(tmp_path / "step_00000010.npz", ["feature", "mlps", "values"])
     with zipfile.ZipFile(path, "a") as archive:
         archive.writestr("metadata.json", '{"version": 1, "arrays": {"mlps": 0}, "digest": ""}')
+    tracemalloc.start()
+    with warnings.catch_warnings(action="ignore"), pytest.raises(DataError):
+        read(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1 << 23
+
+
+@pytest.mark.parametrize("way", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+@pytest.mark.parametrize(
+    ("read", "name"),
+    [
+        (load_scene, "mlps.npy"),
+        (load_mlps, "mlps.npy"),
+        (load_checkpoint, "metadata.json"),
+        (read_lpips_weights, f"{next(expected_arrays())[0]}.npy"),
+        (load_splats, "meta.json"),
+    ],
+)
+def test_sizes_that_are_declared_too_small_take_no_memory(tmp_path, read, name, way):
+    path = tmp_path / ("s.sog" if read is load_splats else "step_00000010.npz")
+    with zipfile.ZipFile(path, "w", way) as archive:
+        archive.writestr(name, bytes(1 << 26))
+    end = path.read_bytes().rpartition(b"PK\x01\x02")
+    directory = end[2][:20] + (1000).to_bytes(4, "little") + end[2][24:]
+    path.write_bytes(end[0] + end[1] + directory)
     tracemalloc.start()
     with warnings.catch_warnings(action="ignore"), pytest.raises(DataError):
         read(path)

@@ -26,6 +26,7 @@ from clgs.data.splats.numbers import from_smallest_three, logit
 from clgs.data.splats.table import PlyTable
 from clgs.files import SMALL, check_declared
 from clgs.scene.gaussians import MAX_DEGREE
+from clgs.scene.storage import check_members
 
 ZIP = b"PK\x03\x04"
 META = "meta.json"
@@ -64,6 +65,7 @@ def decode_sog(data: bytes, folder: Path | None = None) -> PlyTable:
             size = len(data) + sum(image.stat().st_size for image in images_in(folder))
             return _decode(data, size, partial(_in_folder, folder))
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            check_members(archive, len(data))
             # Who zips a folder may have its name before each file's.
             found = [n for n in archive.namelist() if PurePosixPath(n).name == META]
             if not found:
@@ -86,7 +88,9 @@ def images_in(folder: Path) -> list[Path]:
 
 
 def _in_archive(archive: zipfile.ZipFile, name: str) -> tuple[int, Callable[[], bytes]]:
-    return archive.getinfo(name).file_size, partial(archive.read, name)
+    size = archive.getinfo(name).file_size
+    # The member may hold more than is declared, and read() would unpack all of it.
+    return size, partial(archive.open(name).read, size)
 
 
 def _in_folder(folder: Path, name: str) -> tuple[int, Callable[[], bytes]]:

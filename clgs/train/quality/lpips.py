@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from clgs.codec.workers import processors
 from clgs.errors import ClgsError, DataError
-from clgs.scene.storage import DAMAGE, describe_damage
+from clgs.scene.storage import DAMAGE, check_members, describe_damage
 from clgs.shapes import Shapes
 
 BLOCKS = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
@@ -198,6 +198,7 @@ def read_lpips_weights(path: Path) -> LpipsWeights:
     """
     try:
         with path.open("rb") as file, zipfile.ZipFile(file) as archive:
+            check_members(archive, path.stat().st_size)
             arrays = {name: _read(archive, name, shape) for name, shape in expected_arrays()}
     except FileNotFoundError:
         raise DataError(f"{path}: no such file; name the .npz of LPIPS's weights") from None

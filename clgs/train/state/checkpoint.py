@@ -121,8 +121,9 @@ def _write(path: Path, arrays: Arrays, metadata: dict[str, Any]) -> None:
 def _read(path: Path) -> tuple[Arrays, Scalars, str]:
     """Arrays, scalars and digest; raises one of DAMAGE or, for another format, DataError."""
     with zipfile.ZipFile(path) as archive:
-        if archive.getinfo(METADATA).file_size > path.stat().st_size:
-            raise ValueError("it declares more than it holds")
+        for member in archive.infolist():
+            if member.compress_type != zipfile.ZIP_STORED:
+                raise ValueError(f"{member.filename} is compressed, which no checkpoint is")
         metadata = json.loads(archive.read(METADATA))
         if metadata["version"] != FORMAT_VERSION:
             raise DataError(
@@ -138,8 +139,6 @@ def _read(path: Path) -> tuple[Arrays, Scalars, str]:
 
 def _member(archive: zipfile.ZipFile, name: str) -> npt.NDArray[Any]:
     """One array; read whole first, so that no declared size is trusted."""
-    if archive.getinfo(f"{name}.npy").compress_type != zipfile.ZIP_STORED:
-        raise ValueError(f"{name} is compressed, which no checkpoint is")
     data = io.BytesIO(archive.read(f"{name}.npy"))
     return np.asarray(np.lib.format.read_array(data, allow_pickle=False))
 
