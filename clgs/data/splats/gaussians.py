@@ -45,7 +45,7 @@ def load_splats(path: Path | str) -> SplatScene:
 
     They are over black, in the units of their data set; if they lie so far from the origin that
     float32 would move them, the middle is the origin, as ``transform`` says. Those with a number
-    that is not finite are left out, with a warning.
+    that is not finite, or a rotation of length 0, are left out, with a warning.
 
     Raises:
         DataError: no such file, or it is damaged, lacks a property or holds something else.
@@ -102,10 +102,15 @@ def scene_of(columns: Columns, path: Path, comments: Sequence[str] = ()) -> Spla
     names = [*POSITION, *DC, *rest, "opacity", *SCALE, *ROTATION]
     with np.errstate(over="ignore", invalid="ignore"):
         single = {name: columns[name].astype(np.float32) for name in names}
-    good = np.all([np.isfinite(column) for column in single.values()], axis=0)
-    if lost := len(good) - int(good.sum()):
-        text = "%s: %d of %d splats have numbers that are not finite and are left out"
-        _log.warning(text, path, lost, len(good))
+    finite = np.all([np.isfinite(column) for column in single.values()], axis=0)
+    good = finite & np.any([single[name] for name in ROTATION], axis=0)
+    for lost, what in (
+        (~finite, "numbers that are not finite"),
+        (finite & ~good, "a rotation of length 0"),
+    ):
+        if lost.any():
+            text = "%s: %d of %d splats have %s and are left out"
+            _log.warning(text, path, lost.sum(), len(good), what)
     if not good.any():
         raise DataError(f"{path}: holds no splats that can be drawn; write it again with some")
     mean = np.stack([columns[name][good].astype(np.float64) for name in POSITION], axis=1)
@@ -124,9 +129,6 @@ def scene_of(columns: Columns, path: Path, comments: Sequence[str] = ()) -> Spla
         np.ascontiguousarray(np.concatenate([sh[:, None, :3], higher], axis=1)),
         antialiased=bool(np.any(columns.get(ANTIALIASED, 0))),
     )
-    if lost := int((~found.rotation.any(axis=1)).sum()):
-        text = "%s: %d of %d splats have a rotation of length 0, so that they cannot be seen"
-        _log.warning(text, path, lost, len(found))
     world = from_text(list(comments))
     transform = SceneTransform(tuple(middle.tolist()), 1.0, *world)
     return SplatScene(found, RenderSettings(near=near), transform)

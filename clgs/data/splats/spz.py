@@ -30,6 +30,8 @@ ZSTD_VERSION, ZSTD_HEAD = 4, 32
 ANTIALIASED_FLAG, EXTENSIONS_FLAG = 1, 2
 MAX_SH_DEGREE = 4
 """The highest degree of the colors that the format knows."""
+MAX_FRACTION_BITS = 24
+"""Coordinates have no more in all."""
 COLOR_SCALE = 0.15 * 255
 SCALE_STEPS, SCALE_LEAST = 16.0, -10.0
 """The steps per unit of a log scale, and the least log scale."""
@@ -57,6 +59,8 @@ def decode_spz(data: bytes) -> PlyTable:
         raise ValueError(f"an .spz file of version {version}; 1 to 4 are read")
     if degree > MAX_SH_DEGREE:
         raise ValueError(f"an .spz file with colors of degree {degree}")
+    if fraction > MAX_FRACTION_BITS:
+        raise ValueError(f"an .spz file whose coordinates have {fraction} bits after the point")
     rest = 3 * ((degree + 1) ** 2 - 1)
     widths = [6 if version == 1 else 9, 1, 3, 3, 3 if version < 3 else 4]
     widths += [rest] if degree else []

@@ -104,6 +104,7 @@ def refusal(path, data):
         (lambda inside: inside[:4] + b"\x09" + inside[5:], "version 9; 1 to 4 are read"),
         (lambda inside: b"something else, and no splats", "but no .spz file"),
         (lambda inside: inside[:12] + b"\x05" + inside[13:], "with colors of degree 5"),
+        (lambda inside: inside[:13] + b"\x19" + inside[14:], "have 25 bits after the point"),
         (lambda inside: inside[:10], "ends in its header"),
         (lambda inside: inside[:-5], "lacks the last of its 500 splats"),
         (lambda inside: inside + b"more", "does not end with its splats"),
