@@ -25,17 +25,26 @@ def has_other_digits(text: str) -> bool:
     return any(letter.isdecimal() and not letter.isascii() for letter in text)
 
 
+def plain_float(text: str) -> float:
+    """The number in ``text``, which must be ASCII without underscores: Python takes more.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if not text.isascii() or "_" in text:
+        raise ValueError(f"{text[:40]!r} is no number")
+    return float(text)
+
+
 def number(text: str) -> int | float | None:
     """The number in ``text``; None if it is none. 1e3 is a whole number, 1000.0 is not."""
     text = text.strip().lower()
-    if not text.isascii() or "_" in text:  # which Python takes between digits
+    try:
+        value = plain_float(text)
+    except ValueError:
         return None
     if re.fullmatch(r"[+-]?\d{1,30}", text):
         return int(text)
-    try:
-        value = float(text)
-    except ValueError:
-        return None
     return int(value) if re.fullmatch(r"[+-]?\d+e\+?\d{1,2}", text) else value
 
 

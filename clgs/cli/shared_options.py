@@ -13,7 +13,15 @@ from typing import Any
 from clgs.data.reduction import MAX_SIZE, MEANINGS
 from clgs.errors import UsageError
 from clgs.options import PRESETS
-from clgs.quantities import MOST, OTHER_DIGITS, byte_count, has_other_digits, number, seconds
+from clgs.quantities import (
+    MOST,
+    OTHER_DIGITS,
+    byte_count,
+    has_other_digits,
+    number,
+    plain_float,
+    seconds,
+)
 from clgs.train.config import TrainConfig
 from clgs.train.config.option import Option, Range, options_of
 from clgs.workflow.options import BACKGROUNDS, ViewOptions
@@ -248,7 +256,7 @@ def numbers(form: str) -> Callable[[str], list[float]]:
 
     def parse(text: str) -> list[float]:
         try:
-            found = [float(value) for value in plain_digits(text).split(",")]
+            found = [plain_float(value) for value in plain_digits(text).split(",")]
         except ValueError:
             found = []
         if len(found) != count:
@@ -264,7 +272,7 @@ def number_within(least: float, most: float, words: str) -> Callable[[str], floa
 
     def parse(text: str) -> float:
         try:
-            value = float(plain_digits(text))
+            value = plain_float(plain_digits(text))
         except ValueError:
             value = math.nan
         if not least <= value <= most:

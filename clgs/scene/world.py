@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+from clgs.quantities import plain_float
+
 FRAMES = "local", "metres", "earth", "map"
 """One of its own units; one in metres; metres east, north and up of a place on the Earth; metres
 east, north and up on a map whose coordinate system is not named."""
@@ -42,7 +44,7 @@ def from_text(lines: list[str]) -> tuple[int, Place]:
             case [word, name, *numbers] if word == MARK and name in FRAMES:
                 frame = FRAMES.index(name)
                 try:
-                    place = tuple(map(float, numbers)) if frame == EARTH else NOWHERE
+                    place = tuple(map(plain_float, numbers)) if frame == EARTH else NOWHERE
                 except ValueError:
                     continue
                 if len(place) == 3 and all(map(math.isfinite, place)) and is_world(frame, place):

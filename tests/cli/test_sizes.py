@@ -153,9 +153,16 @@ def test_digits_of_other_scripts_are_refused_with_the_reason(words, capsys):
     assert re.search("\u0665[km]? has digits other than 0 to 9; ", capsys.readouterr().err)
 
 
-@pytest.mark.parametrize("words", ["--steps 1_000", "--lambda 1_0", "--set steps=1_000"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        *("train p -o x --steps 1_000", "train p -o x --lambda 1_0"),
+        *("train p -o x --set steps=1_000", "decode s -o x --box 0,0,0,1,1,1_0"),
+        *("encode r -o x --q 1_00,1,1,8", "pack s -o x --step scale=1_0"),
+    ],
+)
 def test_numbers_have_no_underscores(words, capsys):
-    assert exit_code(f"train p -o x {words}".split()) == 2
+    assert exit_code(words.split()) == 2
     assert re.search(r"1_0+\b", capsys.readouterr().err)
 
 

@@ -6,6 +6,7 @@ Rigs and frames are checked only: COLMAP writes the pose of each image to images
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,11 +26,15 @@ from clgs.data.colmap.records import (
 )
 from clgs.errors import DataError
 from clgs.files import in_any_case
+from clgs.quantities import plain_float
 
 _POSE = ("QW", "QX", "QY", "QZ", "TX", "TY", "TZ")
 _CAMERA = ("CAMERA_ID", "MODEL", "WIDTH", "HEIGHT")
 _IMAGE = ("IMAGE_ID", *_POSE, "CAMERA_ID", "NAME")
 _POINT = ("POINT3D_ID", "X", "Y", "Z", "R", "G", "B", "ERROR")
+
+_WORD = re.compile(r"\S+", re.ASCII)
+"""Blanks of other scripts are part of a name."""
 
 _BEFORE_SENSORS, _UNPOSED = 4, 3
 """Fields of a rig before its sensors, and those of a sensor without a pose."""
@@ -118,9 +123,9 @@ class _Line:
 
 
 def _every_line(path: Path) -> Iterator[_Line]:
-    with path.open(encoding="utf-8", errors="replace") as file:
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
         for number, text in enumerate(file, 1):
-            yield _Line(path, number, text.split())
+            yield _Line(path, number, _WORD.findall(text))
 
 
 def _lines(path: Path) -> Iterator[_Line]:
@@ -203,11 +208,11 @@ def _read_points(
 
 
 def _is_whole(word: str) -> bool:
-    return len(word) < 19 and word.removeprefix("-").isdecimal()
+    return len(word) < 19 and word.isascii() and word.removeprefix("-").isdecimal()
 
 
 def _is_finite(word: str) -> bool:
     try:
-        return math.isfinite(float(word))
+        return math.isfinite(plain_float(word))
     except ValueError:
         return False

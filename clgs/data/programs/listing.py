@@ -34,7 +34,8 @@ def numbers(value: Any, shape: tuple[int, ...], source: str, field: str) -> Floa
         DataError: other or fewer or too large ones; names source and field.
     """
     try:
-        found = np.array(value, np.float64)
+        text = str(value)  # float64 of a text takes what plain_float does not
+        found = np.array(value if text.isascii() and "_" not in text else np.nan, np.float64)
     except (TypeError, ValueError, OverflowError):
         found = np.array(np.nan)
     count = int(np.prod(shape))

@@ -23,6 +23,7 @@ from clgs.data.splats.mlps_archive import holds, load_mlps, mlps_path, pack_mlps
 from clgs.data.splats.table import PlyTable, narrowest, pack_ply, read_ply
 from clgs.errors import DataError, OutputError, UsageError
 from clgs.files import atomic_write_all, check_target
+from clgs.quantities import plain_float
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
 from clgs.scene.scene import MIN_Q, QuantizedScene, RenderSettings, SceneTransform, check_ranges
 from clgs.scene.storage import LATER
@@ -196,7 +197,7 @@ def _read_comments(comments: list[str]) -> tuple[dict[str, Any], set[str]]:
     for comment in comments:
         match comment.split():
             case [word, name, *text] if word == COMMENT and _FIELD.fullmatch(name):
-                given[name] = [float(number) for number in text]
+                given[name] = [plain_float(number) for number in text]
     stated = {name.partition(".")[0] for name in given}
     groups = {}
     for group, default in _GROUPS.items():

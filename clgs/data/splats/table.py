@@ -128,6 +128,8 @@ def parse_elements(data: bytes, names: Sequence[str]) -> dict[str, PlyTable]:
     if order is None:
         raise ValueError("the header names no format")
     words = bytes(body).split() if order == "" else []
+    if order == "" and b"_" in bytes(body):  # which Python takes between digits
+        raise ValueError("a number has an underscore")
     found: dict[str, PlyTable] = {}
     at = 0
     for element in header.elements:

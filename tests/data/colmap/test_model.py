@@ -201,6 +201,17 @@ IMAGE = "1 1 0 0 0 0 0 0 1 001.png\n"
         ("images", IMAGE.replace("0 1 001", "inf 1 001"), "line 1: TZ is 'inf', not a finite"),
         ("images", IMAGE.replace("0 1 001", "1e13 1 001"), "line 1: TX, TY, TZ are larger"),
         ("images", "1 1 0 0\n", "line 1: QZ is missing"),
+        (
+            "images",
+            IMAGE.replace("1 1 0", "\u0661 1 0"),
+            "line 1: IMAGE_ID is '\u0661', not a whole number",
+        ),
+        (
+            "images",
+            IMAGE.replace("1 1 0", "1 \u0661 0"),
+            "line 1: QW is '\u0661', not a finite number",
+        ),
+        ("images", IMAGE.replace("1 1 0", "1 1 0_0"), "line 1: QX is '0_0', not a finite number"),
         ("images", f"{IMAGE}1 2\n", "line 2: POINTS2D are not of three numbers each"),
         (
             "images",
@@ -265,6 +276,18 @@ def test_a_name_with_a_blank_is_read_from_binary_models_alone(tmp_path):
     assert load(tmp_path / "False").test[0].name == "0 2.png"
     with pytest.raises(DataError, match=r"NAME '0 2\.png' has a blank.*as \.bin, or rename"):
         load(tmp_path / "True")
+
+
+def test_other_blanks_and_a_mark_of_the_encoding_are_read(tmp_path):
+    """COLMAP cuts names at blanks of ASCII; editors of Windows begin a text with U+FEFF."""
+    write_colmap(tmp_path, text=True, rigs=False)
+    name = "0\u30002.png"
+    (tmp_path / "images" / "002.png").rename(tmp_path / "images" / name)
+    for file in (tmp_path / "sparse" / "0").glob("*.txt"):
+        text = file.read_text(encoding="utf-8").replace("002.png", name)
+        file.write_text(text, encoding="utf-8-sig")
+    photos = load(tmp_path)
+    assert name in [photo.name for photo in (*photos.train, *photos.test)]
 
 
 @pytest.mark.parametrize("text", [False, True])

@@ -29,6 +29,8 @@ CASES = [
     ("metashape", "<chunk ", "<chunk/><chunk ", "holds 2 chunks; export the cameras of one"),
     ("metashape", 'type="frame"', 'type="spherical"', "type 'spherical' is not read; let `clgs p"),
     ("metashape", F, "<f>many</f>", "'A camera': f is not a finite number; correct it"),
+    ("metashape", F, "<f>1_50.0</f>", "'A camera': f is not a finite number; correct it"),
+    ("metashape", F, "<f>\u0661\u0665</f>", "'A camera': f is not a finite number; correct it"),
     ("metashape", F, "<f>0</f>", "the focal length is 0, not 0.001 to 1e+09 pixels"),
     ("metashape", F, "", "calibration has no f; align the photos"),
     ("metashape", F, f"{F}<p3>0.1</p3>", "p3 and p4 are not read"),

@@ -194,6 +194,12 @@ def test_text_holds_what_its_type_holds(tmp_path, value):
         read_ply(path)
 
 
+def test_numbers_have_no_underscores():
+    head = b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n"
+    with pytest.raises(ValueError, match="a number has an underscore"):
+        parse_ply(head + b"1_0")
+
+
 def test_text_beyond_a_float_is_infinite():
     head = b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nend_header\n"
     assert parse_ply(head + b"1e300 -1e300").columns["x"].tolist() == [np.inf, -np.inf]
