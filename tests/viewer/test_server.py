@@ -176,6 +176,7 @@ def test_the_web_socket_takes_its_own_page_alone(server):
         ("/secret/", "127.0.0.1:8080", "null", False),
         ("/secret/", "user@127.0.0.1:8080", "http://evil.example", False),
         ("/secret/", "[", None, False),
+        ("/\udcc3\udca9/", "127.0.0.1:8080", None, False),
         ("/secret/", "", None, False),
     ],
 )
