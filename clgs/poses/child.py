@@ -97,7 +97,7 @@ def serve(work: Callable[[Any, OnStage], Any]) -> None:
     """
     return_freed_memory()
     _serving.append(True)
-    output = os.fdopen(os.dup(1), "w")
+    answers = os.dup(1)
     os.dup2(2, 1)  # what a library prints must not be read as a result
     given = sys.stdin.readline()
     if not given:  # the parent was interrupted before it wrote the arguments
@@ -114,8 +114,8 @@ def serve(work: Callable[[Any, OnStage], Any]) -> None:
     one_at_a_time = threading.Lock()
 
     def write(kind: str, value: Any) -> None:
-        with one_at_a_time:
-            print(json.dumps([kind, value]), file=output, flush=True)
+        with one_at_a_time, open(answers, "w", closefd=False) as output:
+            print(json.dumps([kind, value]), file=output)
 
     try:
         result = work(arguments, lambda stage: write("stage", stage))

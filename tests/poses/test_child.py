@@ -75,6 +75,20 @@ def test_a_result_keeps_what_was_made(folder: Path):
     assert [path.name for path in folder.iterdir()] == ["made"]
 
 
+def test_a_child_leaves_no_file_open(monkeypatch: pytest.MonkeyPatch, capfd):
+    monkeypatch.setenv("PYTHONWARNINGS", "always")
+    program = "from clgs.poses.child import serve; serve(lambda *_: 42)"
+    with subprocess.Popen(
+        [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as child:
+        assert child.stdin is not None
+        assert child.stdout is not None
+        child.stdin.write("0\n")
+        child.stdin.flush()  # and stays open: the child ends by itself
+        assert child.stdout.read() == '["result", 42]\n'
+    assert "ResourceWarning" not in capfd.readouterr().err
+
+
 def ends(process: int) -> bool:
     """Whether a process ends before long; one that ended but was not asked for is a zombie."""
     end = time.monotonic() + HANG
