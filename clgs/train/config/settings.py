@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
+from clgs.arguments import check_type
 from clgs.data.reduction import OBJECT
 from clgs.errors import UsageError
 from clgs.options import RenderOptions, render_options
@@ -185,6 +186,8 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
         for name, one in options_of(TrainConfig).items():
             if "." not in name:
                 object.__setattr__(self, name, one.check(getattr(self, name)))
+        remedy = "dataclasses.replace(config.learning_rates, ...) makes others"
+        check_type("learning_rates", self.learning_rates, LearningRates, remedy)
         if self.l1_weight == self.ssim_weight == 0:
             raise UsageError("l1_weight, ssim_weight: both are 0, so nothing would be learned")
         if self.learning_box and self.adam == "visible":

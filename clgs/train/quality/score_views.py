@@ -74,11 +74,13 @@ def evaluate_views(
     Raises:
         DataError: a photo is damaged.
         BudgetError: ``options.max_memory`` is too small for one of ``views``.
-        TypeError: ``scene`` is neither a quantised scene nor one of splats, or a view is none.
+        TypeError: ``scene`` is neither a quantised scene nor one of splats, or ``views`` are no
+            sequence of views.
     """
     if not isinstance(scene, SplatScene):
         remedy = "a run has it as .scene, clgs.load_scene reads one"
         check_type("scene", scene, QuantizedScene, remedy)
+    check_type("views", views, Sequence, "such as [view], or .train and .test of a data set")
     for view in views:
         check_type("views", view, View, "a data set has them as .train and .test")
     renderer = Renderer(device, drawable(scene), options)
