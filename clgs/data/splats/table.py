@@ -198,10 +198,15 @@ def _skip_lists(data: list[bytes] | memoryview, at: int, element: _Element, orde
 
 
 def _column(values: npt.NDArray[np.float64], name: str, kind: str) -> npt.NDArray[Any]:
-    """Numbers of an ASCII file as their property's type, which must hold them."""
+    """Numbers of an ASCII file as their property's type, which must hold them.
+
+    Coordinates of type float keep their digits: far from the origin float32 moves them.
+    """
     if kind[0] == "f":
         with np.errstate(over="ignore"):
-            return values.astype(kind)
+            typed = values.astype(kind)
+        moved = np.isfinite(typed) & (typed != values)
+        return values if name in ("x", "y", "z") and moved.any() else typed
     limits = np.iinfo(kind)
     if not ((values >= limits.min) & (values <= limits.max) & (np.rint(values) == values)).all():
         raise ValueError(f"property {name} is of type {NAMES[kind]}, which cannot hold its values")

@@ -283,6 +283,22 @@ def test_far_scenes_are_moved_to_the_origin(tmp_path, rng, kind):
     assert np.abs(np.array(packed.transform.centre) - centre).max() < 0.5
 
 
+def test_coordinates_in_text_keep_their_digits(tmp_path, rng):
+    """Whatever type the header names."""
+    gaussians, place = stored(rng, 100), np.array([5e5, 5.4e6, 120.0])
+    columns = columns_of(gaussians)
+    text = [*pack_ply(PlyTable(columns)).partition(b"end_header\n")[:2]]
+    text[0] = text[0].replace(b"binary_little_endian", b"ascii")
+    for i, name in enumerate("xyz"):
+        columns[name] = gaussians.mean[:, i].astype(np.float64) + place[i]
+    for row in zip(*columns.values(), strict=True):
+        text.append(" ".join(repr(value.item()) for value in row).encode() + b"\n")
+    (tmp_path / "s.ply").write_bytes(b"".join(text))
+    scene = load_splats(tmp_path / "s.ply")
+    wanted = np.stack([columns[name] for name in "xyz"], 1) - scene.transform.centre
+    assert np.abs(scene.gaussians.mean - wanted).max() < 1e-6
+
+
 @pytest.mark.parametrize(
     ("times", "near"), [(1.0, 0.2), (0.01, 0.0047), (1e-4, 0.000047), (1e3, 0.2 * 4700 / 40)]
 )
