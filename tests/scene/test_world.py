@@ -17,6 +17,7 @@ from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode
 from clgs.data.splats.anchors import load_scaffold, save_scaffold
 from clgs.data.splats.gaussians import load_splats
+from clgs.data.splats.integer_splats import read_splats
 from clgs.errors import CodecError
 from clgs.exports.splats.glb import encode_glb
 from clgs.exports.splats.ply import encode_ply
@@ -140,6 +141,16 @@ def test_spz_says_that_it_cannot_hold_the_place(tmp_path):
     export(tmp_path / "x.ply", tmp_path / "y.spz", units="scene", on_event=notes.append)
     assert not notes
     assert encode_spz(gaussians(0), transform).data == encode_spz(gaussians(0)).data
+
+
+def test_pack_says_that_packed_splats_cannot_hold_the_place(tmp_path, caplog):
+    for frame, place in WORLDS:
+        path = tmp_path / "x.ply"
+        path.write_bytes(encode_ply(gaussians(0), SceneTransform(frame=frame, place=place)).data)
+        read_splats(path, {})
+        said = "packed splats do not hold where their origin is: world: metres" in caplog.text
+        assert said == (frame == EARTH)
+        caplog.clear()
 
 
 def test_without_a_world_nothing_is_added():

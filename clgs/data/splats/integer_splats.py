@@ -26,6 +26,7 @@ from clgs.data.splats.read import (
 )
 from clgs.data.splats.table import PlyTable, narrowest, pack_ply
 from clgs.errors import ClgsError, DataError, UsageError
+from clgs.scene.world import EARTH, from_text, in_words
 
 STEPS = {
     "f_dc": 1 / 64,
@@ -60,6 +61,9 @@ def read_splats(path: Path, steps: dict[str, float]) -> tuple[QuantizedSplats, d
         UsageError: a property without a step, or a step for none.
     """
     table = read_splat_table(path)
+    if (world := from_text(table.comments))[0] == EARTH:
+        text = "%s: packed splats do not hold where their origin is: %s"
+        _log.warning(text, path, in_words(*world))
     if MARK in table.comments:
         table.columns[ANTIALIASED] = np.ones(len(table), np.int32)
     if FEATURE_OF_ANCHORS in table.columns:
