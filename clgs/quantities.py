@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+from typing import TypeVar
+
+Value = TypeVar("Value")
 
 OTHER_DIGITS = "has digits other than 0 to 9"
 """Why a number that is written in another script is refused: another script has other rules."""
@@ -25,15 +28,21 @@ def has_other_digits(text: str) -> bool:
     return any(letter.isdecimal() and not letter.isascii() for letter in text)
 
 
-def plain_float(text: str) -> float:
-    """The number in ``text``, which must be ASCII without underscores: Python takes more.
+def plain_numbers(value: Value) -> Value:
+    """``value``: a number, a text, or lists of them; its texts are ASCII without underscores.
 
     Raises:
-        ValueError: it is none.
+        ValueError: they are not, though Python and NumPy take them for numbers.
     """
+    text = str(value)
     if not text.isascii() or "_" in text:
         raise ValueError(f"{text[:40]!r} is no number")
-    return float(text)
+    return value
+
+
+def plain_float(text: str) -> float:
+    """The number in ``text``; ValueError if it is none."""
+    return float(plain_numbers(text))
 
 
 def number(text: str) -> int | float | None:

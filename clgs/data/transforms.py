@@ -21,6 +21,7 @@ from clgs.data.locate import ListedPhoto, inside, locate_all, plain_name
 from clgs.data.posed_photo import Photo, PhotoSet, hold_out, rigid
 from clgs.errors import DataError
 from clgs.files import in_any_case
+from clgs.quantities import plain_numbers
 
 _log = logging.getLogger(__name__)
 
@@ -233,8 +234,8 @@ class _Fields:
     def pose(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """World-to-camera rotation and translation, OpenCV axes."""
         try:
-            matrix = np.array(self.frame.get("transform_matrix"), np.float64)
-        except (TypeError, ValueError, OverflowError):
+            matrix = np.array(plain_numbers(self.frame.get("transform_matrix")), np.float64)
+        except (TypeError, ValueError, OverflowError, RecursionError):
             self.fail("transform_matrix", "is not a 4x4 matrix of numbers; correct it")
         if matrix.shape not in ((4, 4), (3, 4)):
             self.fail("transform_matrix", "is missing or not 4x4; correct it")

@@ -298,6 +298,11 @@ BAD = {
     "pose shape": (set_pose([[1, 0], [0, 1]]), "transform_matrix"),
     "pose ragged": (set_pose([[1, 0, 0, 0], [1], 3]), "transform_matrix"),
     "pose text": (set_pose(WITH_STRING), "transform_matrix"),
+    "pose of other digits": (
+        set_pose([[*POSE[0][:3], "\u0661"], *POSE[1:]]),
+        "4x4 matrix of numbers",
+    ),
+    "pose underscore": (set_pose([[*POSE[0][:3], "1_0"], *POSE[1:]]), "4x4 matrix of numbers"),
     "pose scaled": (set_pose(SCALED), "not a rotation"),
     "pose mirrored": (set_pose(MIRRORED), "not a rotation"),
     "pose sheared": (set_pose(SHEARED), "not a rotation"),

@@ -17,6 +17,7 @@ from clgs.data.locate import ListedPhoto, locate_all
 from clgs.data.posed_photo import PhotoSet, hold_out, rigid
 from clgs.data.transforms import FOCAL_LENGTHS, read_json
 from clgs.errors import DataError
+from clgs.quantities import plain_numbers
 
 Floats = npt.NDArray[np.float64]
 
@@ -34,9 +35,8 @@ def numbers(value: Any, shape: tuple[int, ...], source: str, field: str) -> Floa
         DataError: other or fewer or too large ones; names source and field.
     """
     try:
-        text = str(value)  # float64 of a text takes what plain_float does not
-        found = np.array(value if text.isascii() and "_" not in text else np.nan, np.float64)
-    except (TypeError, ValueError, OverflowError):
+        found = np.array(plain_numbers(value), np.float64)
+    except (TypeError, ValueError, OverflowError, RecursionError):
         found = np.array(np.nan)
     count = int(np.prod(shape))
     if found.size != count or not np.all(np.abs(found) < MAX_COORDINATE):

@@ -22,6 +22,7 @@ from clgs.errors import DataError
 from clgs.exports.clip.framing import fov_y
 from clgs.exports.clip.paths import pinhole
 from clgs.files import atomic_write
+from clgs.quantities import plain_numbers
 from clgs.scene.camera import Camera
 
 MAX_BYTES = 64 * 2**20
@@ -108,7 +109,8 @@ def _camera(frame: Any, where: str, size: tuple[int, int]) -> Camera:
 def _numbers(value: Any) -> npt.NDArray[np.float64]:
     """The numbers of a list, or of a text that holds one; no numbers if it is something else."""
     try:
-        return np.array(json.loads(value) if isinstance(value, str) else value, np.float64).ravel()
+        found = json.loads(value) if isinstance(value, str) else value
+        return np.array(plain_numbers(found), np.float64).ravel()
     except (TypeError, ValueError, RecursionError):
         return np.empty(0)
 

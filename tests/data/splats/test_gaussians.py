@@ -284,7 +284,7 @@ def test_far_scenes_are_moved_to_the_origin(tmp_path, rng, kind):
 
 
 def test_coordinates_in_text_keep_their_digits(tmp_path, rng):
-    """Whatever type the header names."""
+    """A header that names a type of fewer digits does not cut them."""
     gaussians, place = stored(rng, 100), np.array([5e5, 5.4e6, 120.0])
     columns = columns_of(gaussians)
     text = [*pack_ply(PlyTable(columns)).partition(b"end_header\n")[:2]]

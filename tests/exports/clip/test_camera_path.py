@@ -81,6 +81,10 @@ def test_keyframes_are_read_by_rows_and_by_columns(tmp_path):
         (record(render_height="800"), "render_height: 800 is not a number"),
         (record(fps=float("nan")), "fps: nan"),
         (record(camera_path=[{"fov": 50}]), r"camera_path\[0\].camera_to_world: 16 numbers"),
+        (
+            record(camera_path=[{"camera_to_world": [*POSE[:3], "1_0", *POSE[4:]]}]),
+            r"camera_path\[0\].camera_to_world: 16 numbers",
+        ),
         (record(camera_path=[{"camera_to_world": POSE, "fov": 0}]), r"camera_path\[0\].fov: 0"),
         (record(camera_path=[{"camera_to_world": POSE[:9]}]), "camera_to_world: 16 numbers"),
         (record(camera_path=[{"camera_to_world": [0.0] * 16}]), "its rotation is none"),
