@@ -1,7 +1,7 @@
 """A data set for OpenSplat, and the score of what it made of it.
 
     python scripts/bench/opensplat.py data DATA DOWNSCALE FOLDER
-    opensplat FOLDER --cpu --keep-crs --save-every 100 -o FOLDER/splats.ply
+    opensplat FOLDER --cpu --keep-crs --save-every 10 -o FOLDER/splats.ply
     python scripts/bench/opensplat.py score DATA DOWNSCALE FOLDER/splats_*.ply
 
 FOLDER receives what ``clgs train`` reads of DATA: the training photos at their reduced size, their
