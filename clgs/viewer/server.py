@@ -211,9 +211,9 @@ class _Window:
         """
         place, live = self._client.camera, self._shown.live
         eye = Eye(np.array(place.wxyz), np.array(place.position), place.fov, self._window_size())
-        camera = eye.camera(live.moving_rows(eye) if moving else STILL_ROWS)
         view = self._views.get(self._photo.value) if self._views else None
         try:
+            camera = eye.camera(live.moving_rows(eye) if moving else STILL_ROWS)
             picture = live.picture(camera, self._size.value / 100)
             if view is not None and stands_at(camera, view):
                 background = self._shown.background

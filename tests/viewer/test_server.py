@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import socket
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -103,6 +104,16 @@ def test_a_browser_gets_a_coarse_and_a_fine_picture_after_a_move(server):
         received = messages(socket)
         heights = {next_picture(received).shape[0] for _ in range(2)}
     assert max(heights) == 160
+
+
+def test_a_camera_that_is_none_does_not_end_the_pictures(server):
+    eye = eye_of(ring(1)[0], (240, 160))
+    with connect(server) as socket:
+        send(socket, replace(camera_message(eye), position=(np.nan, 0.0, 0.0)))
+        received = messages(socket)
+        assert any(message["type"] == "NotificationShowMessage" for message in received)
+        send(socket, camera_message(eye))
+        assert next_picture(received).shape[2] == 3
 
 
 def test_the_edges_of_a_box_are_shown(server):
