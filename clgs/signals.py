@@ -16,6 +16,8 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 def interruptions() -> Iterator[Callable[[], bool]]:
     """Remember the first SIGINT or SIGTERM within the block; the next one acts as before.
 
+    One that is ignored, as SIGINT is in a background job, stays so.
+
     The block receives a function that says whether one came. An exception in the middle of a
     training step would leave half of the state changed. Between two steps, where the function is
     called, the state is whole. Python handles signals in the main thread alone; in other threads
@@ -26,6 +28,7 @@ def interruptions() -> Iterator[Callable[[], bool]]:
         yield lambda: False
         return
     before = {number: signal.getsignal(number) for number in SIGNALS}
+    before = {number: old for number, old in before.items() if old is not signal.SIG_IGN}
 
     def remember(number: int, frame: FrameType | None) -> None:
         seen.append(number)
@@ -35,7 +38,7 @@ def interruptions() -> Iterator[Callable[[], bool]]:
         for number, handler in before.items():
             signal.signal(number, handler)
 
-    for number in SIGNALS:
+    for number in before:
         signal.signal(number, remember)
     try:
         yield lambda: bool(seen)

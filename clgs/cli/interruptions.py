@@ -32,6 +32,7 @@ class Interruptions:
 
     def __init__(self) -> None:
         self._before: dict[int, Any] = {}
+        self._ignored: list[int] = []
         self._base: FrameType | None = None
         self._waiting = 0
         self._repeated = False
@@ -51,6 +52,9 @@ class Interruptions:
             if free.get(name, True):
                 self._before[number] = handler
                 signal.signal(number, self._raise)
+            elif handler is signal.SIG_IGN:
+                self._ignored.append(number)
+        self._mask("SIG_BLOCK")  # PoCL's compiler would take them, and builds would fail
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None
@@ -61,9 +65,14 @@ class Interruptions:
         finally:
             for number, handler in self._before.items():
                 signal.signal(number, handler or signal.SIG_DFL)
+            self._mask("SIG_UNBLOCK")
             self._base = None
         if waiting and kind is None:
             raise KeyboardInterrupt
+
+    def _mask(self, how: str) -> None:
+        if hasattr(signal, "pthread_sigmask"):  # not on Windows
+            signal.pthread_sigmask(getattr(signal, how), self._ignored)
 
     def _raise(self, number: int, frame: FrameType | None) -> None:
         second = self._waiting and not self._repeated

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import signal
 import subprocess
 import sys
@@ -102,6 +103,18 @@ def test_handlers_of_the_caller_and_ignored_signals_stay(monkeypatch):
             signal.raise_signal(signal.SIGHUP)
     assert seen == [signal.SIGINT, signal.SIGINT, signal.SIGHUP]
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no such signals")
+def test_ignored_signals_do_not_reach_handlers_that_a_compiler_sets():
+    seen: list[int] = []
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with Interruptions():
+        signal.signal(signal.SIGINT, lambda number, frame: seen.append(number))
+        signal.raise_signal(signal.SIGINT)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    assert not seen
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
 
 def test_an_interruption_is_not_lost_if_no_thread_starts(write_module, monkeypatch):
