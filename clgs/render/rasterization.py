@@ -7,6 +7,7 @@ table of what is the same, what differs and what is refused.
 from __future__ import annotations
 
 from functools import cache
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -141,7 +142,7 @@ def rasterization(  # noqa: PLR0913  gsplat's arguments
     arrays |= {name: on.hand_over(array) for name, array in lent.items()}
     given = check_arguments(**arrays, sh_degree=sh_degree, render_mode=render_mode)
     record = Record(on, given, lens, sh_degree, render_mode, absgrad, (width, height), lent, [])
-    for batch, number in np.ndindex(given.viewmats.shape[:2]):
+    for batch, number in product(*map(range, given.viewmats.shape[:2])):
         record.views.append(_draw(record, batch, number, alpha_max, options))
     shape = (*given.batch, given.viewmats.shape[1], height, width)
     image = _stacked([view.image for view in record.views], (*shape, given.backgrounds.shape[-1]))

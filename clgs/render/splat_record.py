@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -93,7 +94,7 @@ class Record:
         if self.absgrad:
             shapes["absgrad"] = (c, n, 2)
         parts: dict[str, list[list[Floats]]] = {name: [[] for _ in range(b)] for name in shapes}
-        for at, (batch, number) in enumerate(np.ndindex(b, c)):
+        for at, (batch, number) in enumerate(product(range(b), range(c))):
             given_d = d_image[batch, number], d_alpha[batch, number]
             for name, array in self._view_gradients(self.views[at], *given_d).items():
                 own = parts[name][batch]

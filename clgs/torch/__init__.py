@@ -12,6 +12,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable
 from functools import partial, wraps
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -107,7 +108,7 @@ def rasterization(*arguments: Any, **others: Any) -> tuple[Tensor, Tensor, Meta]
             own = given["colors"], flat[5], given["sh_degree"]
             painted.append(_colors(call, flat[0], *own, render_mode))
         blend.colors = host_of(painted[0])
-        for (batch, number), one in zip(np.ndindex(b, c), found, strict=True):
+        for (batch, number), one in zip(product(range(b), range(c)), found, strict=True):
             blend.draw(batch, number, one)
 
     centres, whitening, depths, left, extents = Project.apply(call, begin, *flat)
@@ -143,7 +144,7 @@ def _colors(
         Harmonics.apply(
             sh_degree, means[batch] - centre[batch, number], stored[batch, number % stored.shape[1]]
         )
-        for batch, number in np.ndindex(given.viewmats.shape[:2])
+        for batch, number in product(*map(range, given.viewmats.shape[:2]))
     ]
     every = torch.stack(seen) if seen else torch.zeros(0, stored.shape[2], 3)
     shape = (*given.viewmats.shape[:2], stored.shape[2], 3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -49,8 +50,7 @@ class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         device, given = call.device, call.given
         shape = given.scales if given.covars is None else given.covars
         assert shape is not None
-        found: list[Projected] = []
-        for batch, number in np.ndindex(given.viewmats.shape[:2]):
+        for batch, number in product(*map(range, given.viewmats.shape[:2])):
             if number == 0:
                 call.splats.append(
                     views.Splats(
@@ -66,14 +66,14 @@ class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
             call.cameras.append(camera)
             none = device.empty((len(call.splats[batch]), 0))
             with device.stage("views forward"):
-                found.append(
+                call.projected.append(
                     views.forward(device, call.splats[batch], camera, call.lens, none, call.options)
                 )
         sizes = given.viewmats.shape[0], given.viewmats.shape[1], given.means.shape[1]
         names = {"mean2d": 2, "whitening": 3, "depth": None, "opacity": None, "extent": 2}
-        gather = gather_later(device, found, names, sizes)
+        gather = gather_later(device, call.projected, names, sizes)
         if begin is not None:  # the device blends while the host goes on
-            begin(found)
+            begin(call.projected)
         results = list(gather().values())
         call.centres, call.extents = results[0], results[4]
         if call.packed:
@@ -91,20 +91,17 @@ class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
     def backward(ctx: Any, *d: Tensor | None) -> tuple[Tensor | None, ...]:
         """Gradients by the Gaussians and the cameras."""
         call, device = ctx.call, ctx.call.device
-        whitening, extent = (host_of(one) for one in ctx.saved_tensors[:2])
-        sizes = extent.shape[:3]
+        assert ctx.saved_tensors  # PyTorch sees that none was changed
+        sizes = call.extents.shape[:3]
         by_screen = [None if one is None else host_of(one) for one in d[:4]]
         if by_screen[0] is not None:
             by_screen[0] = unpacked_rows(call.rows, by_screen[0], sizes)
         want_camera = ctx.needs_input_grad[7]
         sums: dict[str, list[npt.NDArray[Any]]] = {}
         d_viewmats = np.zeros(call.given.viewmats.shape, np.float32)
-        for at, (batch, number) in enumerate(np.ndindex(extent.shape[:2])):
-            splats, camera = call.splats[batch], call.cameras[at]
+        for at, (batch, number) in enumerate(product(*map(range, sizes[:2]))):
+            splats, camera, seen = call.splats[batch], call.cameras[at], call.projected[at]
             none = device.empty((len(splats), 0))
-            shared = [device.share(one[batch, number]) for one in (whitening, extent)]
-            unused = device.empty((1,))
-            seen = Projected(unused, shared[0], unused, shared[1], none, unused)
             d_mean2d, d_whitening, d_depth, d_opacity = (
                 device.zeros((sizes[2], *width))
                 if one is None
@@ -170,7 +167,7 @@ class Blend(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         if call.seen is None:
             arrays = [host_of(one) for one in (centres, whitening, depths, extents, opacities)]
             none = device.empty((whitening.shape[2], 0))
-            for batch, number in np.ndindex(whitening.shape[:2]):
+            for batch, number in product(*map(range, whitening.shape[:2])):
                 own = (device.share(one[batch, number]) for one in arrays)
                 mean2d, factor, depth, extent, opacity = own
                 call.draw(batch, number, Projected(mean2d, factor, depth, extent, none, opacity))
@@ -195,7 +192,7 @@ class Blend(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         d_left = None if d[1] is None else np.negative(host_of(d[1]))[..., 0]
         found: list[ChannelGradients] = []
         shared: list[DeviceArray] = []
-        for at, (batch, number) in enumerate(np.ndindex(whitening.shape[:2])):
+        for at, (batch, number) in enumerate(product(*map(range, whitening.shape[:2]))):
             drawn = call.drawn[at]
             by_image, by_left = (
                 device.zeros(made.shape) if one is None else device.share(one[batch, number])

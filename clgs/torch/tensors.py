@@ -26,7 +26,8 @@ from clgs.render.splat_arguments import Floats, SplatArguments
 class ViewsCall:
     """What the projection of one call shares; pictures count batches first.
 
-    packed: whether centres are those of what is drawn alone. The forward pass fills the rest:
+    packed: whether centres are those of what is drawn alone. The forward pass fills the rest, also
+    for the backward pass: splats of each batch; cameras and projected Gaussians of each picture;
     extents (B, C, N, 2) pixels, 0 if culled; rows of what is drawn among all Gaussians of all
     pictures; centres of all (B, C, N, 2).
     """
@@ -38,6 +39,7 @@ class ViewsCall:
     options: RenderOptions
     packed: bool
     splats: list[views.Splats] = field(default_factory=list)
+    projected: list[Projected] = field(default_factory=list)
     cameras: list[DeviceArray] = field(default_factory=list)
     extents: Floats = field(default_factory=lambda: np.empty(0, np.float32))
     rows: npt.NDArray[np.int64] | None = None
