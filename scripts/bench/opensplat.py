@@ -46,7 +46,7 @@ def write(data: Dataset, folder: Path) -> None:
                 "h": camera.height,
             }
         )
-    scene = {**frames[0], "ply_file_path": "points.ply", "frames": frames}
+    scene = {**frames[0], "camera_model": "OPENCV", "ply_file_path": "points.ply", "frames": frames}
     (folder / "transforms.json").write_text(json.dumps(scene))
     points = np.zeros(len(data.points), [("xyz", "<f4", 3), ("rgb", "u1", 3)])
     points["xyz"] = data.points
