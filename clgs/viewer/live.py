@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from clgs.errors import DataError
 from clgs.exports.clip.paths import pinhole
 from clgs.exports.image import Picture
 from clgs.opencl.device import Device
@@ -53,10 +54,16 @@ class Eye:
     size: tuple[int, int]
 
     def camera(self, rows: int) -> Camera:
-        """The camera of a picture with ``rows`` rows, as wide as the window is."""
+        """The camera of a picture with ``rows`` rows, as wide as the window is.
+
+        Raises:
+            DataError: the browser sent what is no camera.
+        """
         width, height = self.size
         rows = max(1, min(rows, height, MAX_SIDE))
         columns = max(1, min(round(rows * width / height), MAX_SIDE))
+        if not np.any(self.wxyz):
+            raise DataError("a camera whose rotation has length 0; reload the page")
         to_world = Rotation.from_quat(np.roll(self.wxyz, -1)).as_matrix()
         return pinhole(to_world.T, self.position, np.degrees(self.fov), (columns, rows))
 

@@ -106,10 +106,11 @@ def test_a_browser_gets_a_coarse_and_a_fine_picture_after_a_move(server):
     assert max(heights) == 160
 
 
-def test_a_camera_that_is_none_does_not_end_the_pictures(server):
+@pytest.mark.parametrize("fault", [{"position": (np.nan, 0.0, 0.0)}, {"wxyz": (0.0,) * 4}])
+def test_a_camera_that_is_none_does_not_end_the_pictures(server, fault):
     eye = eye_of(ring(1)[0], (240, 160))
     with connect(server) as socket:
-        send(socket, replace(camera_message(eye), position=(np.nan, 0.0, 0.0)))
+        send(socket, replace(camera_message(eye), **fault))
         received = messages(socket)
         assert any(message["type"] == "NotificationShowMessage" for message in received)
         send(socket, camera_message(eye))

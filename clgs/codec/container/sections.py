@@ -242,14 +242,19 @@ def _add_entry(
     return entries[tag]
 
 
+_SPLAT_FILES = {b"ply": ".ply", b"\x1f\x8b": ".spz", b"NGSP": ".spz", b"PK\3\4": ".sog"}
+
+
 def _check_head(head: bytes, size: int) -> tuple[int, int]:
     """Minor version and number of sections, after the checks of signature, version and size."""
     if not head:
         raise CodecError("header at byte 0: the file is empty; encode the scene again")
     if head[:5] != MAGIC[:5]:
-        raise CodecError(
-            "header at byte 0: not a .clgs file; make one with `clgs train` or `clgs pack`"
-        )
+        remedy = "make one with `clgs train` or `clgs pack`"
+        for beginning, suffix in _SPLAT_FILES.items():
+            if head.startswith(beginning):
+                remedy += f"; it begins as a {suffix} file does: give it that suffix"
+        raise CodecError(f"header at byte 0: not a .clgs file; {remedy}")
     if head[: len(MAGIC)] != MAGIC:
         raise CodecError(
             "header at byte 5: line ends were changed or the file is cut; transfer it as binary"

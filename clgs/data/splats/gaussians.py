@@ -35,6 +35,9 @@ FINE = 2.0**-10
 USUAL_SPREAD = 2.0, 40.0
 """Scenes that spread like this, in their own units, are drawn from the usual near plane on."""
 
+USUAL_LENGTHS = 1e-30, 1e30
+"""Quaternions of these lengths are made unit ones where they are drawn, in float32."""
+
 Columns = Mapping[str, npt.NDArray[Any]]
 
 _log = logging.getLogger(__name__)
@@ -99,6 +102,7 @@ def scene_of(columns: Columns, path: Path, comments: Sequence[str] = ()) -> Spla
         raise DataError(
             f"{path}: {len(rest)} properties {REST}*; 0, 9, 24 or 45 make a whole degree"
         )
+    columns = {**columns, **_directions(columns)}
     names = [*POSITION, *DC, *rest, "opacity", *SCALE, *ROTATION]
     with np.errstate(over="ignore", invalid="ignore"):
         single = {name: columns[name].astype(np.float32) for name in names}
@@ -132,6 +136,16 @@ def scene_of(columns: Columns, path: Path, comments: Sequence[str] = ()) -> Spla
     world = from_text(list(comments))
     transform = SceneTransform(tuple(middle.tolist()), 1.0, *world)
     return SplatScene(found, RenderSettings(near=near), transform)
+
+
+def _directions(columns: Columns) -> Columns:
+    """The columns of the rotations; the largest component of extreme ones becomes 1."""
+    quaternion = np.stack([columns[name].astype(np.float64) for name in ROTATION], axis=1)
+    largest = np.abs(quaternion).max(axis=1)
+    short, long = USUAL_LENGTHS
+    extreme = (largest > 0) & (largest < short) | (largest > long) & np.isfinite(largest)
+    quaternion[extreme] /= largest[extreme, None]
+    return dict(zip(ROTATION, quaternion.T, strict=True))
 
 
 def is_far(centre: npt.NDArray[np.float64], log_scale: npt.NDArray[np.float32]) -> bool:

@@ -127,6 +127,8 @@ def _inflate(data: bytes, most: int, whole: bool = False) -> bytes:
     try:
         stream = zlib.decompressobj(wbits=31)
         body = stream.decompress(data, most)
+        if len(body) < most and stream.unused_data[:2] == GZIP:
+            raise ValueError("an .spz file of several gzip members; compress it as one")
         if whole and len(body) == most:
             stream.decompress(stream.unconsumed_tail, 1)
             if not stream.eof:

@@ -195,6 +195,8 @@ def test_what_is_no_clgs_file():
     for data in (b"PK\3\4" + bytes(50), b"ply\n", bytes(1000)):
         with pytest.raises(CodecError, match=r"not a \.clgs file; make one"):
             decode(data)
+    with pytest.raises(CodecError, match=r"it begins as a \.ply file does: give it that suffix"):
+        decode(b"ply\n")
     with pytest.raises(CodecError, match="empty"):
         decode(b"")
     with pytest.raises(CodecError, match="line ends were changed"):

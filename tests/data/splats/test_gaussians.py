@@ -110,6 +110,18 @@ def test_rotations_that_are_none_are_left_out_and_counted(tmp_path, rng, caplog)
     assert "s.ply: 3 of 10 splats have a rotation of length 0" in caplog.text
 
 
+@pytest.mark.parametrize("length", [1e-44, 1e-36, 3e37, 3e38])
+def test_quaternions_of_any_length_are_the_same_rotations(tmp_path, rng, length):
+    columns = columns_of(stored(rng, 10))
+    usual = load_splats(write(tmp_path / "a.ply", columns)).gaussians
+    axis = np.eye(4)[rng.integers(4, size=10)]
+    for i in range(4):
+        columns[f"rot_{i}"] = (length * axis[:, i]).astype(np.float32)
+    found = load_splats(write(tmp_path / "b.ply", columns)).gaussians
+    assert len(found) == len(usual)
+    np.testing.assert_array_equal(found.rotation, axis)
+
+
 def test_infinite_opacities_and_scales_have_a_meaning(tmp_path, rng, caplog):
     """An opacity of 1 has the logit +inf; a flat splat has the log scale -inf."""
     columns = columns_of(stored(rng, 10))

@@ -115,11 +115,18 @@ def test_damaged_spz_is_one_line(tmp_path, change, said):
     assert said in refusal(tmp_path / "s.spz", gzip.compress(change(inside)))
 
 
+def in_members(data, first):
+    """The same content, compressed as two members of which one has the ``first`` bytes."""
+    inside = gzip.decompress(data)
+    return gzip.compress(inside[:first]) + gzip.compress(inside[first:])
+
+
 @pytest.mark.parametrize(
     ("version", "change", "said"),
     [
         (3, lambda data: data[:-8] + bytes(4) + data[-4:], "gzip cannot read"),
         (3, lambda data: data[:-6], "does not end with its splats"),
+        (3, lambda data: in_members(data, 99), "several gzip members"),
         (4, lambda data: data[:-5], "stream 6 is not as long as it must be"),
         (4, lambda data: data[:30], "ends in its header"),
         (4, lambda data: data[:16] + b"\xff" * 4 + data[20:], "table of streams is damaged"),
