@@ -1,10 +1,11 @@
-"""Photograph scenes whose parts look alike: ``python made_captures.py room|tower FOLDER``.
+"""Photograph scenes: ``python made_captures.py room|tower|street FOLDER [PHOTOS [WIDTH]]``.
 
 FOLDER/images is for structure from motion. FOLDER/transforms.json holds the true poses.
 
 room: panels of one wallpaper cover all four walls, and four equal crates stand in the corners. A
 photo of little else fits in several places. Pictures, boxes and balls tell the sides apart.
 tower: four equal sides, photographed from all around. Only the ground tells them apart.
+street: two rows of houses that all differ, for sets of many photos: four walks from end to end.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 from raytrace import Light, RayScene, Surface, View
-from scene import ball, box, drum, framed, panel
+from scene import ball, box, drum, framed, grid, panel, plane
 
 from clgs.files import atomic_path
 
@@ -33,7 +34,7 @@ WIDTH, LOW = 640, 480
 FOCAL = 0.8
 """Focal length in widths of a photo: a field of view of 64 degrees."""
 
-STOPS = {"room": 40, "tower": 36}
+STOPS = {"room": 40, "tower": 36, "street": 600}
 """Photos of each scene."""
 
 QUALITY = 95
@@ -96,6 +97,56 @@ def tower() -> list[Surface]:
     return [*found, ball("retina", (1.5, 0.4, 0.2), 0.2), *small]
 
 
+HOUSES, FACADE, WIDE, TALL = 12, 4.0, 8.0, 4.5
+"""Houses of a side; metres of a facade, across the street, and up to the roofs."""
+
+TEXELS = 75
+"""Per metre of a painted wall."""
+
+WALKS, TURNS = 4, 24
+"""Walks from end to end, and photos of the turn at the end of each."""
+
+
+def leaves(rng: np.random.Generator, across: float, down: float) -> np.ndarray:
+    """Linear albedo of a wall, metres: discs of all sizes and colors, the later ones on top."""
+    height, width = round(down * TEXELS), round(across * TEXELS)
+    tint = rng.uniform(0.3, 1.0, 3)
+    picture = np.tile(np.float32(0.4 * tint), (height, width, 1))
+    for radius in 3.0 / np.sqrt(rng.uniform(0.002, 1.0, round(60 * across * down))):
+        x, y = rng.uniform(0, width), rng.uniform(0, height)
+        left, top = max(int(x - radius), 0), max(int(y - radius), 0)
+        part = picture[top : int(y + radius) + 1, left : int(x + radius) + 1]
+        rows, columns = np.ogrid[top : top + part.shape[0], left : left + part.shape[1]]
+        part[(rows - y) ** 2 + (columns - x) ** 2 < radius**2] = tint * rng.uniform(0.05, 0.8, 3)
+    return picture
+
+
+def street() -> list[Surface]:
+    """Facades on both sides and at both ends, pillars in front of them, and the ground."""
+    rng = np.random.default_rng(2)
+
+    def wall(origin: tuple[float, ...], across: tuple[float, ...], down: tuple[float, ...]) -> None:
+        size = float(np.linalg.norm(across)), float(np.linalg.norm(down))
+        found.append(Surface(plane(origin, across, down), *grid(1, 1), leaves(rng, *size)))
+
+    found: list[Surface] = []
+    side, end = WIDE / 2, HOUSES * FACADE
+    for x in np.arange(HOUSES) * FACADE:
+        wall((x, side, TALL), (FACADE, 0, 0), (0, 0, -TALL))
+        wall((x + FACADE, -side, TALL), (-FACADE, 0, 0), (0, 0, -TALL))
+        wall((x, side, 0), (FACADE, 0, 0), (0, -WIDE, 0))
+        for y in (-side + 0.5, side - 0.5):
+            at, wide = x + rng.uniform(0.5, FACADE - 0.5), rng.uniform(0.15, 0.3)
+            high = rng.uniform(0.8, 2.0)
+            for turn in range(4):
+                right = np.array([np.cos(turn * np.pi / 2), np.sin(turn * np.pi / 2), 0.0])
+                corner = [at, y, high] - wide * right + wide * np.array([right[1], -right[0], 0.0])
+                wall(tuple(corner), tuple(2 * wide * right), (0, 0, -high))
+    wall((end, side, TALL), (0, -WIDE, 0), (0, 0, -TALL))
+    wall((0, -side, TALL), (0, WIDE, 0), (0, 0, -TALL))
+    return found
+
+
 Places = Iterator[tuple[np.ndarray, np.ndarray]]
 """Where the camera is, and what it looks at, (3,) each."""
 
@@ -118,9 +169,27 @@ def places_around_tower(stops: int) -> Places:
         yield place + rng.uniform(-0.1, 0.1, 3), target
 
 
+def places_along_street(stops: int) -> Places:
+    """Walks from end to end and back, looking at the left side, with a turn at each end."""
+    rng = np.random.default_rng(3)
+    ahead = np.radians(55.0)  # between the way and the view
+    for number in range(stops):
+        walk, share = divmod(number * WALKS / stops, 1)
+        turning = min(TURNS * WALKS / stops, 0.5)
+        way, turn = min(share / (1 - turning), 1.0), max(share - (1 - turning), 0.0) / turning
+        heading = np.pi * (walk % 2)
+        along = FACADE / 2 + way * (HOUSES - 1) * FACADE
+        x = along if walk % 2 == 0 else HOUSES * FACADE - along
+        y = (-1.2 if walk < 2 else -0.4) * np.cos(heading)
+        look = heading + ahead + turn * np.pi
+        place = np.array([x, y, 1.6]) + rng.uniform(-0.1, 0.1, 3)
+        yield place, place + [np.cos(look), np.sin(look), rng.uniform(-0.1, 0.1)]
+
+
 SCENES: dict[str, tuple[Callable[[], list[Surface]], Callable[[int], Places]]] = {
     "room": (lambda: [*room_walls(), *room_clutter()], places_in_room),
     "tower": (tower, places_around_tower),
+    "street": (street, places_along_street),
 }
 
 
@@ -152,10 +221,13 @@ def photograph(
 
 def main() -> None:
     """The command."""
-    if len(sys.argv) != 3 or sys.argv[1] not in SCENES:
-        raise SystemExit(f"usage: python made_captures.py {'|'.join(SCENES)} FOLDER")
+    numbers = sys.argv[3:]
+    fits = len(sys.argv) in (3, 4, 5) and sys.argv[1] in SCENES and all(map(str.isdigit, numbers))
+    if not fits:
+        usage = f"usage: python made_captures.py {'|'.join(SCENES)} FOLDER [PHOTOS [WIDTH]]"
+        raise SystemExit(usage)
     try:
-        photograph(sys.argv[1], Path(sys.argv[2]))
+        photograph(sys.argv[1], Path(sys.argv[2]), *map(int, numbers))
     except OSError as error:
         raise SystemExit(f"{sys.argv[2]}: {error.strerror}; name another folder") from None
 

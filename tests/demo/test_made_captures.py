@@ -66,6 +66,24 @@ def test_no_pose_of_the_tower_is_called_good_and_wrong(tmp_path: Path):
 
 
 @pytest.mark.slow
+def test_walks_of_the_street_see_the_same_houses_again(tmp_path: Path):
+    """Else a long set falls apart: later walks go along the sides that the first two saw."""
+    pytest.importorskip("embreex")
+    pytest.importorskip("skimage")
+    import made_captures
+
+    taken = list(made_captures.photograph("street", tmp_path, stops=40, width=32).values())
+    centre = np.array([view.centre for view in taken])
+    ahead = np.array([view.rotation[2] for view in taken])
+    first, again = slice(0, 8), slice(20, 28)
+    assert np.abs(centre[first, 0] - centre[again, 0]).max() < 0.5
+    assert (np.einsum("nk,nk->n", ahead[first], ahead[again]) > 0.99).all()
+    assert (centre[first, 1] < centre[again, 1]).all()
+    assert (np.abs(centre[:, 1]) < made_captures.WIDE / 2).all()
+    assert ((centre[:, 0] > 0) & (centre[:, 0] < made_captures.HOUSES * made_captures.FACADE)).all()
+
+
+@pytest.mark.slow
 def test_the_true_poses_are_written(tmp_path: Path):
     pytest.importorskip("embreex")
     pytest.importorskip("skimage")
