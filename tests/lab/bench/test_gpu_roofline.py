@@ -14,6 +14,7 @@ if not FOLDER.is_dir():
 sys.path.insert(0, str(FOLDER))
 try:
     import estimate
+    import matching
     import roofline
     import table
     import units
@@ -129,3 +130,10 @@ def test_scaling_is_checked_by_the_largest_scene():
     assert estimate.scaling_errors(state(1)) == {
         "project forward: project_forward": (100_000.0, 100_000.0)
     }
+
+
+def test_blocks_of_rows_meet_blocks_of_columns():
+    """Of two small searches, b blocks of descriptors each, the work 7 b^2 + 3 b is known."""
+    small, large = 7.0 + 3, 7.0 * 4 + 3 * 2
+    assert matching.grown(small, large, 64) == small
+    assert matching.grown(small, large, 64 * 32) == 7 * 32**2 + 3 * 32
