@@ -183,7 +183,7 @@ def places_along_street(stops: int) -> Places:
         y = (-1.2 if walk < 2 else -0.4) * np.cos(heading)
         look = heading + ahead + turn * np.pi
         place = np.array([x, y, 1.6]) + rng.uniform(-0.1, 0.1, 3)
-        yield place, place + [np.cos(look), np.sin(look), rng.uniform(-0.1, 0.1)]
+        yield place, place + np.array([np.cos(look), np.sin(look), rng.uniform(-0.1, 0.1)])
 
 
 SCENES: dict[str, tuple[Callable[[], list[Surface]], Callable[[int], Places]]] = {

@@ -24,7 +24,7 @@ from clgs.ops import match
 SIZES = 2048, 4096, 8192
 COUNTED = match.BLOCK_ROWS, 2 * match.BLOCK_ROWS
 WAYS = 2
-"""From a photo to the other, and back."""
+"""One search from a photo to the other, and one back."""
 
 
 def search(name: str, count: int, file: Path) -> None:

@@ -133,7 +133,7 @@ def test_scaling_is_checked_by_the_largest_scene():
 
 
 def test_blocks_of_rows_meet_blocks_of_columns():
-    """Of two small searches, b blocks of descriptors each, the work 7 b^2 + 3 b is known."""
+    """The work of a search among b blocks of descriptors is 7 b^2 + 3 b here."""
     small, large = 7.0 + 3, 7.0 * 4 + 3 * 2
     assert matching.grown(small, large, 64) == small
     assert matching.grown(small, large, 64 * 32) == 7 * 32**2 + 3 * 32
