@@ -5,12 +5,16 @@ from __future__ import annotations
 import http.client
 import re
 import threading
+from collections.abc import Iterator
 from urllib.parse import urlsplit
 
 from clgs.errors import DataError
 
 FRONT = 1 << 15
 """Bytes of the first request: most directories, with what decoding needs, fit in."""
+
+PIECE = 1 << 20
+"""Bytes that are asked of the connection at once: what is only claimed takes no memory."""
 
 SECONDS = 30.0
 """How long a server may say nothing."""
@@ -29,17 +33,17 @@ class HttpSource:
     """
 
     def __init__(self, url: str) -> None:
+        url = " ".join(url.split())
         try:
             parts = urlsplit(url)
             host, port = parts.hostname, parts.port
-        except ValueError as error:
+            secure = parts.scheme == "https"
+            kind = http.client.HTTPSConnection if secure else http.client.HTTPConnection
+            self._connection = kind(host or "", port, timeout=SECONDS)
+        except (ValueError, http.client.InvalidURL) as error:
             raise DataError(f"{url}: no address ({error}); correct it") from None
         if parts.scheme not in ("http", "https") or not host:
             raise DataError(f"{url}: no http or https address; name one, or read the file's bytes")
-        kind = (
-            http.client.HTTPSConnection if parts.scheme == "https" else http.client.HTTPConnection
-        )
-        self._connection = kind(host, port, timeout=SECONDS)
         self._url = url
         self._target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
         self._turn = threading.Lock()
@@ -69,7 +73,7 @@ class HttpSource:
                 self.close()
                 answer = self._ask(asked)
             size = self._check(answer, offset, length)
-            data = answer.read(size)
+            data = b"".join(self._pieces(answer, size))
             # An answer in pieces ends with an empty one, which must be read before the next answer.
             more = answer.read(1) if answer.length is None and len(data) == size else b""
         except (OSError, http.client.HTTPException, ValueError) as error:
@@ -84,6 +88,12 @@ class HttpSource:
             raise DataError(f"{self._url}: the answer is cut; try again")
         self.bytes_read += size
         return data
+
+    def _pieces(self, answer: http.client.HTTPResponse, size: int) -> Iterator[bytes]:
+        """Up to ``size`` bytes of an answer; fewer only where it ends."""
+        while size and (piece := answer.read(min(size, PIECE))):
+            size -= len(piece)
+            yield piece
 
     def _ask(self, headers: dict[str, str]) -> http.client.HTTPResponse:
         self._connection.request("GET", self._target, headers=headers)

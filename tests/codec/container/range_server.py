@@ -7,6 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
+CLAIMED = 1 << 56
+"""Bytes that nobody has room for."""
+
 
 @contextmanager
 def serve(files: dict[str, bytes], ranges: bool = True, way: str = "") -> Iterator[str]:
@@ -14,7 +17,7 @@ def serve(files: dict[str, bytes], ranges: bool = True, way: str = "") -> Iterat
 
     way: "pieces": answers come in pieces without a length; "long": they are longer than their
     range; "packed": they say that they are; "leaving": the connection ends after each one,
-    unannounced.
+    unannounced; "huge": all files are said to have CLAIMED bytes, and answers are cut.
     """
 
     class Handler(BaseHTTPRequestHandler):
@@ -33,8 +36,9 @@ def serve(files: dict[str, bytes], ranges: bool = True, way: str = "") -> Iterat
                 first, last = map(int, asked.removeprefix("bytes=").split("-"))
                 part = data[first : last + 1]
                 self.send_response(206)
-                end = first + len(part) - 1
-                self.send_header("Content-Range", f"bytes {first}-{end}/{len(data)}")
+                size = CLAIMED if way == "huge" else len(data)
+                end = min(last + 1, size) - 1
+                self.send_header("Content-Range", f"bytes {first}-{end}/{size}")
             else:
                 self.send_response(200)
             if way == "pieces":
@@ -42,12 +46,13 @@ def serve(files: dict[str, bytes], ranges: bool = True, way: str = "") -> Iterat
                 part = b"%x\r\n%b\r\n0\r\n\r\n" % (len(part), part)
             else:
                 part += b"!" * (way == "long")
-                self.send_header("Content-Length", str(len(part)))
+                length = end - first + 1 if way == "huge" else len(part)
+                self.send_header("Content-Length", str(length))
             if way == "packed":
                 self.send_header("Content-Encoding", "gzip")
             self.end_headers()
             self.wfile.write(part)
-            self.close_connection |= way == "leaving"
+            self.close_connection |= way in ("leaving", "huge")
 
         def log_message(self, *_: object) -> None:
             pass

@@ -10,7 +10,7 @@ from clgs.codec.scene_decoder import decode, decode_box, describe
 from clgs.codec.scene_encoder import encode
 from clgs.errors import DataError
 from clgs.scene.region import Box
-from tests.codec.container.range_server import serve
+from tests.codec.container.range_server import CLAIMED, serve
 from tests.codec.scenes import assert_same, random_scene
 
 
@@ -57,9 +57,11 @@ def test_servers_and_addresses_that_do_not_serve(data):
             assert "\n" not in str(error.value)
     with pytest.raises(DataError, match="not read"):
         decode(url + "s.clgs")  # the server is gone
-    for address in ("file:///etc/passwd", "ftp://host/x.clgs", "http://", "http://[::1/x"):
-        with pytest.raises(DataError):
+    wrong = ("file:///etc/passwd", "ftp://host/x.clgs", "http://", "http://[::1/x", "http://a\0b/x")
+    for address in (*wrong, url + "s.clgs\r\nX: y"):
+        with pytest.raises(DataError) as error:
             decode(address)
+        assert "\n" not in str(error.value)
     with pytest.raises(TypeError, match="bytes are needed"):
         decode("scene.clgs")
 
@@ -77,6 +79,13 @@ def test_answers_in_pieces_and_connections_that_end_serve(data, way):
 def test_answers_that_are_not_their_range_are_named(data, way, said):
     with serve({"s.clgs": data}, way=way) as url, pytest.raises(DataError, match=said):
         decode(url + "s.clgs")
+
+
+def test_a_length_that_is_only_claimed_takes_no_memory(data):
+    with serve({"s.clgs": data}, way="huge") as url:
+        source = HttpSource(url + "s.clgs")
+        with pytest.raises(DataError, match="the answer is cut; try again"):
+            source.read(FRONT, CLAIMED - FRONT)
 
 
 def test_a_box_is_a_box(data):
