@@ -15,10 +15,11 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from clgs import __version__
 from clgs.errors import DataError
@@ -35,14 +36,34 @@ HINT = "what was finished is kept; the same command goes on from there"
 
 _GUARD = """
 import os, shutil, sys, time
+
+def nothing_is_finished(kept):
+    return all(name.startswith(".") for name in os.listdir(kept))
+
+def remove(kept):
+    if os.name == "nt":
+        shutil.rmtree(kept, ignore_errors=True)
+        return
+    import fcntl
+    with open(os.path.join(kept, ".owner"), "rb") as owner:
+        fcntl.flock(owner, fcntl.LOCK_EX | fcntl.LOCK_NB)  # fails if the next command has it
+        if nothing_is_finished(kept):
+            shutil.rmtree(kept, ignore_errors=True)
+
 if not sys.stdin.buffer.read():
     for _ in range(50):  # children of the killed process may write for a moment more
         shutil.rmtree(sys.argv[1], ignore_errors=True)
         for kept in sys.argv[2:]:
-            if os.path.isdir(kept) and all(name.startswith(".") for name in os.listdir(kept)):
-                shutil.rmtree(kept, ignore_errors=True)
+            try:
+                if nothing_is_finished(kept):
+                    remove(kept)
+            except OSError:
+                pass
         time.sleep(0.1)
 """
+
+_MOMENT, _MOMENTS = 0.05, 4
+"""Seconds between attempts to lock, and how many: a guard locks for a moment only."""
 
 
 @contextmanager
@@ -119,6 +140,35 @@ def digest_of(files: Iterable[Path], options: Any) -> str:
     return digest.hexdigest()
 
 
+def _lock(folder: Path) -> BinaryIO | None:
+    """Make ``folder``, and lock it until the file is closed; None if another process has it.
+
+    The guard of a killed process locks it for a moment, and may remove it: then it is made again.
+    """
+    for _ in range(_MOMENTS):
+        folder.mkdir(exist_ok=True)
+        with suppress(FileNotFoundError), ExitStack() as closing:
+            file = closing.enter_context((folder / _LOCK).open("wb"))
+            if os.name == "nt" or _has_lock(file):
+                closing.pop_all()
+                return file
+        time.sleep(_MOMENT)
+    return None
+
+
+def _has_lock(file: BinaryIO) -> bool:
+    """Lock a file; whether that went well, or cannot be known, and the file is still there."""
+    import fcntl
+
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # a file system without locks
+        return True
+    return os.fstat(file.fileno()).st_nlink > 0
+
+
 @contextmanager
 def kept_pieces(output: Path, digest: str) -> Iterator[Path | None]:
     """A folder next to ``output`` for finished pieces; those of an earlier call are in it.
@@ -133,18 +183,11 @@ def kept_pieces(output: Path, digest: str) -> Iterator[Path | None]:
     for other in output.parent.glob(f"{glob.escape(prefix)}*"):
         if other != folder and (os.name == "nt" or _is_left(other / _LOCK)):
             shutil.rmtree(other, ignore_errors=True)
-    folder.mkdir(exist_ok=True)
-    with (folder / _LOCK).open("wb") as file:
-        if os.name != "nt":
-            import fcntl
-
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                yield None
-                return
-            except OSError:  # a file system without locks
-                pass
+    file = _lock(folder)
+    if file is None:
+        yield None
+        return
+    with file:
         for broken in folder.glob(".[!o]*"):
             shutil.rmtree(broken, ignore_errors=True)
         stays = False

@@ -68,6 +68,34 @@ def test_a_killed_process_leaves_nothing(tmp_path: Path, other: str):
     assert not folder.exists()
 
 
+KEEPS = """
+import sys
+from pathlib import Path
+from clgs.poses.unfinished import kept_pieces, removed_if_killed
+output = Path(sys.argv[1])
+with kept_pieces(output, "one") as kept, removed_if_killed(output, kept):
+    output.mkdir()
+    print("made", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_the_guard_of_a_killed_process_leaves_the_next_one_its_pieces(tmp_path: Path):
+    output, pipe = tmp_path / "data", subprocess.PIPE
+    command = [sys.executable, "-c", KEEPS, str(output)]
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "made\n"
+        process.kill()
+    with kept_pieces(output, "one") as kept:
+        assert kept is not None
+        end = time.monotonic() + HANG
+        while output.exists() and time.monotonic() < end:  # the guard has begun
+            time.sleep(0.01)
+        time.sleep(0.5)  # and goes on
+        (kept / "01 matches").mkdir()
+
+
 def test_otherwise_it_stays(tmp_path: Path):
     with removed_if_killed(tmp_path):
         (tmp_path / "file").touch()
