@@ -98,6 +98,7 @@ race_check() {
 }
 
 checks_of_the_checkout() {
+    lint # next to the wheel's tests, since it uses one core
     checkout_tests
     docs
     test_c
@@ -137,8 +138,8 @@ smoke() {
 # of the commands, which take longest, are not left for the end.
 spread=(-n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder)
 
-lint
 if [ -z "$ci" ]; then
+    lint
     step "tests"
     exec "$python" -m pytest "${spread[@]}" "$@"
 fi
