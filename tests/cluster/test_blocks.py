@@ -17,7 +17,7 @@ from clgs.cluster.blocks.merge import merged_scene, merged_state
 from clgs.cluster.blocks.plan import read_plan
 from clgs.data.dataset import load_dataset
 from clgs.data.origin import repose
-from clgs.errors import DataError, UsageError
+from clgs.errors import DataError, ExistsError, UsageError
 from clgs.scene.storage import load_scene
 from clgs.train.config import preset
 from clgs.train.run.run_folder import RESULTS
@@ -93,11 +93,30 @@ def test_a_finished_run_is_left_as_it_is_and_other_blocks_are_refused(trained, b
     assert "holds a run already" in capsys.readouterr().err
     assert train(balls, trained, "--blocks", "2x1", "--resume") == 0
     assert "is finished already" in capsys.readouterr().out
+    assert train(balls, trained, "--blocks", "1x2", "--resume") == UsageError.exit_code
+    assert "was begun with 2x1; give that, or auto" in capsys.readouterr().err
     unfinished = trained.parent / "unfinished"
     shutil.copytree(trained, unfinished, ignore=shutil.ignore_patterns(RESULTS))
     shutil.copy(trained / "coarse" / RESULTS, unfinished / "coarse")
     assert train(balls, unfinished, "--blocks", "1x2", "--resume") == UsageError.exit_code
     assert "was begun with 2x1; give that, or auto" in capsys.readouterr().err
+
+
+def test_a_run_goes_on_as_it_began_in_blocks_or_without(trained, balls, tmp_path, capsys):
+    (begun := tmp_path / "begun").mkdir()
+    shutil.copytree(trained / "coarse", begun / "coarse")
+    for folder in (trained, begun):
+        assert train(balls, folder, "--resume") == ExistsError.exit_code
+        assert "holds a run in blocks; add --blocks" in capsys.readouterr().err
+    assert train(balls, begun) == ExistsError.exit_code
+    assert "holds a run already" in capsys.readouterr().err
+    shutil.copytree(trained / "blocks", begun / "blocks")
+    assert train(balls, begun, "--overwrite") == 0
+    assert not (begun / "blocks").exists()
+    assert train(balls, begun, "--resume") == 0
+    capsys.readouterr()
+    assert train(balls, begun, "--blocks", "2x1", "--resume") == ExistsError.exit_code
+    assert "holds a run without blocks; leave out --blocks" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -27,8 +27,7 @@ from clgs.scene.anchors import take
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import save_scene
 from clgs.train.quality.visibility import LEAST_WEIGHT, view_weights
-
-PLAN = "plan.json"
+from clgs.train.run.run_folder import PLAN
 
 START = "start.npz"
 """What a block starts with, in its folder."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -10,7 +9,6 @@ from pathlib import Path
 from clgs.cluster.blocks.cuts import parse_counts
 from clgs.cluster.blocks.merge import merged_scene, merged_state
 from clgs.cluster.blocks.plan import (
-    PLAN,
     Plan,
     counts_for_memory,
     look,
@@ -40,6 +38,8 @@ from clgs.opencl.device import Device
 from clgs.train.config import TrainConfig
 from clgs.train.run.load import load_for
 from clgs.train.run.run_folder import (
+    BLOCKS,
+    COARSE,
     RESULTS,
     FolderLock,
     RunResult,
@@ -53,9 +53,6 @@ from clgs.workflow.events import Note, OnEvent, StageProgress, TrainingProgress,
 from clgs.workflow.outputs import check_apart
 from clgs.workflow.train import TrainedRun
 from clgs.workflow.views import scene_name
-
-COARSE, BLOCKS = "coarse", "blocks"
-"""Folders in that of the run: the coarse scene, and the blocks with their plan."""
 
 ROWS = "rows.json"
 """What is known of each block: its time, its anchors, the peak of its worker's memory."""
@@ -111,15 +108,16 @@ def train_in_blocks(
     check_settings(config)
     check_apart(folder, data)
     check_folder(folder)
-    for place in (folder, folder / COARSE):
-        check_run_folder(place, resume, overwrite)
+    check_run_folder(folder, resume, overwrite, in_blocks=True)
     if resume:
         check_same_data(folder / COARSE, data)
+        _check_counts(folder, counts)
     memory = _memory_of_a_worker(folder, workers, scheduler, device)
     return_freed_memory()
     config, width = _resolved(data, config)
-    if overwrite:
-        _remove(folder)
+    if overwrite and folder.is_dir():
+        FolderLock(folder).release()  # DataError: another process works there
+        remove_run(folder)
     joint = joint_config(config)
     if (folder / RESULTS).exists():
         whole = load_for(joint, data, folder)
@@ -189,14 +187,12 @@ def _resolved(data: Path, config: TrainConfig) -> tuple[TrainConfig, int]:
     return config.for_dataset(outline.kind), width
 
 
-def _remove(folder: Path) -> None:
-    """Remove the run in ``folder`` with its coarse scene and its blocks."""
-    for place in (folder, folder / COARSE):
-        if place.is_dir():
-            FolderLock(place).release()  # DataError: another process works there
-            remove_run(place)
-    if (folder / BLOCKS / PLAN).is_file():
-        shutil.rmtree(folder / BLOCKS)
+def _check_counts(folder: Path, counts: tuple[int, int] | None) -> None:
+    """Raise UsageError if the run in ``folder`` was begun with other ``counts`` than these."""
+    plan = read_plan(folder / BLOCKS)
+    if plan is not None and counts not in (None, plan.cuts.counts):
+        there = "x".join(map(str, plan.cuts.counts))
+        raise UsageError(f"--blocks: {folder} was begun with {there}; give that, or auto")
 
 
 def _coarse_and_plan(
@@ -222,9 +218,6 @@ def _coarse_and_plan(
         coarse = session.run(_report(config, on_event))
     plan = read_plan(folder / BLOCKS)
     if plan is not None:
-        if counts is not None and counts != plan.cuts.counts:
-            there = "x".join(map(str, plan.cuts.counts))
-            raise UsageError(f"--blocks: {folder} was begun with {there}; give that, or auto")
         return coarse, plan
     photos = repose(photos, coarse.scene.transform)
     advance = counter("looking at views", len(photos.train + photos.test), on_event)

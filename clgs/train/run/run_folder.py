@@ -24,6 +24,9 @@ from clgs.train.state.resume import SETTINGS, changed_settings
 RESULTS = "results.json"
 """The last file of a run: a folder that has it is finished."""
 
+COARSE, BLOCKS, PLAN = "coarse", "blocks", "plan.json"
+"""Folders of a run in blocks: the coarse scene, and the blocks; and the plan in these."""
+
 FILES = (
     *("scene.clgs", "scene.npz", "progress.csv", "per_view.json", "hashes.json", "preview.png"),
     *("profile.json", "report.html", ORIGIN, RESULTS, SETTINGS),
@@ -134,21 +137,31 @@ def finished_settings(folder: Path) -> tuple[RunResult, TrainConfig]:
         raise DataError(f"{folder}: a finished run, but damaged ({error})") from error
 
 
-def check_run_folder(folder: Path, resume: bool, overwrite: bool) -> None:
-    """Make sure that a run may go to ``folder``.
+def check_run_folder(folder: Path, resume: bool, overwrite: bool, in_blocks: bool = False) -> None:
+    """Make sure that a run, perhaps in blocks, may go to ``folder``.
 
     Raises:
-        ExistsError: it holds a run, which is neither to be resumed nor overwritten.
+        ExistsError: it holds a run, which is neither to be resumed nor overwritten, or which is to
+            be resumed but is in blocks where this one is not, or the other way round.
         UsageError: both are asked for.
         DataError: another process works in it.
     """
     if resume and overwrite:
         raise UsageError("--resume goes on with a run and --overwrite replaces it; give one")
-    if (folder / SETTINGS).exists() and not (resume or overwrite):
+    was_in_blocks = (folder / COARSE / SETTINGS).exists()
+    if overwrite or not (was_in_blocks or (folder / SETTINGS).exists()):
+        return
+    if not resume:
         FolderLock(folder).release()
         raise ExistsError(
             f"{folder}: holds a run already; go on with it (--resume), replace it (--overwrite), "
             "or choose another folder"
+        )
+    if was_in_blocks != in_blocks:
+        kind, remedy = ("in blocks", "add") if was_in_blocks else ("without blocks", "leave out")
+        raise ExistsError(
+            f"{folder}: holds a run {kind}; {remedy} --blocks to go on with it, or choose another "
+            "folder"
         )
 
 
@@ -170,7 +183,14 @@ def check_same_data(folder: Path, data: Path) -> None:
 
 
 def remove_run(folder: Path) -> None:
-    """Remove the files of a run, but not the points that it triangulated, nor anything else."""
+    """Remove the files of a run, but not the points that it triangulated, nor anything else.
+
+    Of a run in blocks, these and its coarse scene go, too.
+    """
+    if (folder / COARSE / SETTINGS).exists():
+        if (folder / BLOCKS / PLAN).is_file():
+            shutil.rmtree(folder / BLOCKS)
+        remove_run(folder / COARSE)
     if not (folder / SETTINGS).exists():
         return
     for path in (folder / "test").glob("ours_*"):
