@@ -25,6 +25,9 @@ LOSSES = 1000
 
 CONNECT_SECONDS = 30
 
+QUIET = logging.CRITICAL
+"""What dask still reports: not every connection, nor its traceback of a scheduler that is lost."""
+
 Message = dict[str, Any]
 
 
@@ -46,7 +49,8 @@ def connected(workers: int, scheduler: str | None) -> Iterator[Client]:
     from dask import config
     from distributed import Client, LocalCluster
 
-    logging.getLogger("distributed").setLevel(logging.ERROR)  # it reports every connection
+    for name in ("distributed", "distributed.client"):  # dask gives each a level
+        logging.getLogger(name).setLevel(QUIET)
     if scheduler:
         try:
             client = Client(scheduler, timeout=CONNECT_SECONDS)
@@ -77,7 +81,7 @@ def connected(workers: int, scheduler: str | None) -> Iterator[Client]:
             threads_per_worker=1,
             memory_limit=0,  # none: a worker is not paused or restarted for what it holds
             dashboard_address=":0",
-            silence_logs=logging.ERROR,
+            silence_logs=QUIET,
         ) as cluster,
         Client(cluster) as client,
     ):
@@ -201,5 +205,8 @@ def _kinds(client: Client, kernels: Path, device: str | None) -> dict[str, dict[
 def _explain(error: Exception) -> str:
     text = " ".join(f"{type(error).__name__}: {error}".split())
     if "CancelledError" in type(error).__name__:
-        return f"the scheduler was lost ({text}); start it and repeat the command, which goes on"
+        return (
+            f"the scheduler was lost ({text}); start it and repeat the command, `clgs train` with "
+            "--resume, which goes on"
+        )
     return text

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import subprocess
+import sys
 import threading
+import time
 from contextlib import contextmanager
 
 
@@ -28,3 +32,30 @@ def killed_once(client, due):
     finally:
         ended.set()
         killer.join()
+
+
+@contextmanager
+def scheduler_with_a_worker(folder):
+    """(address, process) of a scheduler, which has a worker; both end with the block."""
+    named = folder / "scheduler.json"
+
+    def start(part, words):
+        command = [sys.executable, "-m", f"distributed.cli.dask_{part}", *words.split()]
+        return subprocess.Popen([*command, "--no-dashboard", "--scheduler-file", str(named)])
+
+    one = start("scheduler", "--host 127.0.0.1 --port 0")
+    other = start("worker", "--no-nanny --nthreads 1")
+    try:
+        while not named.exists():
+            time.sleep(0.1)
+        yield json.loads(named.read_text())["address"], one
+    finally:
+        for process in (one, other):
+            process.kill()
+            process.wait()
+
+
+def kill_and_wait(task, tell):
+    """Work for a worker: it kills the process ``task["kills"]``, and goes on for long."""
+    os.kill(task["kills"], signal.SIGKILL)
+    time.sleep(600)

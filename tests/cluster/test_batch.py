@@ -14,7 +14,7 @@ from clgs.cluster.table import read_scenes
 from clgs.errors import ClgsError, UsageError
 from clgs.train.run.run_folder import RESULTS
 from clgs.train.state.checkpoint import checkpoints
-from tests.cluster.kill import killed_once
+from tests.cluster.kill import kill_and_wait, killed_once, scheduler_with_a_worker
 from tests.small_scene import write_scene
 
 needs_dask = pytest.mark.skipif(
@@ -96,6 +96,18 @@ def test_two_workers_one_killed_and_this_process_make_the_same_files(table, tmp_
     assert len(killed) == 1
     assert [row for row in rows if "error" in row] == []
     assert files(tmp_path / "runs") == expected
+
+
+@needs_dask
+@pytest.mark.slow
+def test_a_scheduler_that_is_lost_is_one_line(tmp_path, caplog):
+    with scheduler_with_a_worker(tmp_path) as (address, process):
+        task = {"run": "one", "lock": str(tmp_path / "lock"), "kills": process.pid}
+        with engine.connected(1, address) as client:
+            (row,) = engine.run_tasks(client, kill_and_wait, [task], tmp_path, lambda row: None)
+    assert row["error"].startswith("the scheduler was lost")
+    assert "`clgs train` with --resume" in row["error"]
+    assert caplog.records == []
 
 
 @needs_dask
