@@ -108,7 +108,7 @@ def read_scenes(path: Path, output: Path) -> list[Task]:
 def _data(name: str, one: Mapping[str, Any]) -> str:
     only(one, f"scene.{name}", ("data", "settings"))
     data = one.get("data")
-    if not isinstance(data, str) or not data:
+    if not isinstance(data, str) or not data or "\0" in data:
         raise UsageError(f"scene.{name}.data: give the folder of the data set")
     if name in ("kernels", "locks"):
         raise UsageError(f"scene.{name}: the folder of runs has one of this name; rename it")

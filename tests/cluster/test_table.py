@@ -51,6 +51,7 @@ def test_scenes_have_the_shared_settings_and_their_own(read, tmp_path):
         ("[scenes.a]\n", "the table: no field 'scenes'; it may have settings, scene"),
         ("[scene.a]\n", "scene.a.data: give the folder of the data set"),
         ("[scene.a]\ndata = 3\n", "scene.a.data: give the folder of the data set"),
+        ('[scene.a]\ndata = "a\\u0000"\n', "scene.a.data: give the folder of the data set"),
         ("[scene]\na = 1\n", "scene.a: is not a table; write [scene.a]"),
         ('[scene."../a"]\ndata = "a"\n', "scene.'../a': is no name"),
         ('[scene.locks]\ndata = "a"\n', "scene.locks: the folder of runs has one of this name"),
