@@ -31,7 +31,8 @@ LARGE = "1920x1080"
 class Size:
     """How much work the parts do: Gaussians, the picture's edge in pixels, and repetitions.
 
-    elements: of stages that are timed alone; large: Gaussians and pixels of the large step.
+    elements: of stages that are timed alone; large: Gaussians and pixels of the large step; points:
+    that a training starts from.
     """
 
     gaussians: int
@@ -39,10 +40,11 @@ class Size:
     elements: int
     large: tuple[int, str]
     repeats: int
+    points: int
 
 
-WHOLE = Size(200_000, 400, 1_000_000, (1_000_000, LARGE), 15)
-QUICK = Size(20_000, 128, 100_000, (50_000, "480x270"), 5)
+WHOLE = Size(200_000, 400, 1_000_000, (1_000_000, LARGE), 15, 10_000)
+QUICK = Size(20_000, 128, 100_000, (50_000, "480x270"), 5, 1_000)
 
 
 def trials(device: str, folder: Path, size: Size, data: list[str]) -> list[Trial]:
@@ -69,10 +71,12 @@ def trials(device: str, folder: Path, size: Size, data: list[str]) -> list[Trial
 
     def training(name: str) -> Trial:
         words = ("train", str(folder / "photos"), "-o", str(folder / name), "--steps", str(STEPS))
-        return Trial(name, (*words, *on), partial(show_hash, name))
+        points = ("--start-points", str(size.points))
+        return Trial(name, (*words, *points, *on), partial(show_hash, name))
 
     usual = size.gaussians, size.edge
-    ops = ("--gaussians", size.gaussians, "--size", size.edge, "--elements", size.elements)
+    sizes = ("--gaussians", size.gaussians, "--size", size.edge)
+    ops = (*sizes, "--elements", size.elements, "--repeats", size.repeats)
     hashes = file("conformance")
     found = [
         Trial("machine", ("doctor", "--json"), show_machine),

@@ -69,6 +69,10 @@ def test_every_part_is_a_command_with_its_options(tmp_path):
         for trial in todo:
             args = cli.build_parser().parse_args(trial.words)
             assert getattr(args, "device", "0") == "0"
+            if trial.name == "training":
+                assert args.start_points == size.points
+            if trial.name in ("stages", "step", "large step"):
+                assert args.repeats == size.repeats
 
 
 def test_trainings_that_differ_fail(tmp_path):
