@@ -32,6 +32,8 @@ def colors(data: Path) -> tuple[list[str], npt.NDArray[np.int64], npt.NDArray[np
     """Names of photos; of each observation its photo, its point, and the logarithm of its color."""
     import pycolmap
 
+    if not (data / "sparse" / "0" / "points3D.bin").is_file():
+        raise SystemExit(f"{data}: no sparse/0/points3D.bin; give a data set of `clgs prepare`")
     model = pycolmap.Reconstruction(str(data / "sparse" / "0"))
     images = sorted(model.images.values(), key=lambda one: str(one.name))
     rows: list[tuple[int, int, float]] = []
@@ -64,6 +66,8 @@ def exposures(data: Path) -> tuple[list[str], Floats]:
 
 def even(data: Path, output: Path) -> None:
     """Copy the data set with photos divided by their exposures."""
+    if output.exists():
+        raise SystemExit(f"{output}: exists; name another folder")
     names, found = exposures(data)
     shutil.copytree(data, output)
     for name, exposure in zip(names, found, strict=True):

@@ -31,6 +31,8 @@ PANELS = 4
 WIDTH, LOW = 640, 480
 """Size of a photo, pixels."""
 
+LEAST_WIDTH = 16
+
 FOCAL = 0.8
 """Focal length in widths of a photo: a field of view of 64 degrees."""
 
@@ -221,13 +223,14 @@ def photograph(
 
 def main() -> None:
     """The command."""
-    numbers = sys.argv[3:]
-    fits = len(sys.argv) in (3, 4, 5) and sys.argv[1] in SCENES and all(map(str.isdigit, numbers))
-    if not fits:
+    numbers = [int(word) if word.isdecimal() else 0 for word in sys.argv[3:]]
+    least = 1, LEAST_WIDTH
+    fits = len(sys.argv) in (3, 4, 5) and sys.argv[1] in SCENES
+    if not fits or any(number < one for number, one in zip(numbers, least, strict=False)):
         usage = f"usage: python made_captures.py {'|'.join(SCENES)} FOLDER [PHOTOS [WIDTH]]"
-        raise SystemExit(usage)
+        raise SystemExit(f"{usage}; at least {least[0]} photo, {least[1]} pixels wide")
     try:
-        photograph(sys.argv[1], Path(sys.argv[2]), *map(int, numbers))
+        photograph(sys.argv[1], Path(sys.argv[2]), *numbers)
     except OSError as error:
         raise SystemExit(f"{sys.argv[2]}: {error.strerror}; name another folder") from None
 
