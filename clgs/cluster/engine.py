@@ -28,6 +28,9 @@ CONNECT_SECONDS = 30
 QUIET = logging.CRITICAL
 """What dask still reports: not every connection, nor its traceback of a scheduler that is lost."""
 
+TLS = ("CA_FILE", "CLIENT__CERT", "CLIENT__KEY")
+"""Ends of the variables that name the files with which dask connects by TLS."""
+
 Message = dict[str, Any]
 
 
@@ -43,7 +46,8 @@ def connected(workers: int, scheduler: str | None) -> Iterator[Client]:
 
     Raises:
         ClgsError: dask.distributed is not installed.
-        UsageError: nothing answers at the address, or it has no workers.
+        UsageError: the address is none, dask lacks what TLS needs, nothing answers at the address,
+            or it has no workers.
     """
     require_distributed()
     from dask import config
@@ -52,6 +56,7 @@ def connected(workers: int, scheduler: str | None) -> Iterator[Client]:
     for name in ("distributed", "distributed.client"):  # dask gives each a level
         logging.getLogger(name).setLevel(QUIET)
     if scheduler:
+        _check_address(scheduler)
         try:
             client = Client(scheduler, timeout=CONNECT_SECONDS)
         except (OSError, ValueError, TypeError) as error:
@@ -86,6 +91,43 @@ def connected(workers: int, scheduler: str | None) -> Iterator[Client]:
         Client(cluster) as client,
     ):
         yield client
+
+
+def _check_address(scheduler: str) -> None:
+    """Raise UsageError if dask cannot even ask for a connection to ``scheduler``."""
+    from dask import config
+    from distributed.comm.addressing import parse_address, parse_host_port
+    from distributed.comm.registry import get_backend
+    from distributed.security import Security
+
+    try:
+        kind, place = parse_address(scheduler)
+        get_backend(kind)
+        host, port = parse_host_port(place)
+        if not host or not 0 < port < 1 << 16:
+            raise ValueError(f"no host, or the port {port}")
+    except ValueError as error:
+        raise UsageError(
+            f"--scheduler {scheduler}: is no address ({error}); give tcp://HOST:PORT or "
+            "tls://HOST:PORT with a port of 1 to 65535"
+        ) from None
+    if kind != "tls":
+        if config.get("distributed.comm.require-encryption"):
+            raise UsageError(
+                f"--scheduler {scheduler}: dask is set to require encryption; give tls://{place}"
+            )
+        return
+    try:
+        found = Security().get_connection_args("client")["ssl_context"]
+        problem = "" if found else "none are named"
+    except (OSError, ValueError) as error:
+        problem = str(error)
+    if problem:
+        names = ", ".join(f"DASK_DISTRIBUTED__COMM__TLS__{name}" for name in TLS)
+        raise UsageError(
+            f"--scheduler {scheduler}: dask cannot read the files for TLS ({problem}); name them "
+            f"by {names}"
+        )
 
 
 def run_tasks(

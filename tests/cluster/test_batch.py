@@ -79,6 +79,36 @@ def test_no_scheduler_is_one_line(table, tmp_path, monkeypatch, capsys):
 
 
 @needs_dask
+@pytest.mark.parametrize(
+    ("address", "settings", "said"),
+    [
+        ("tcp://127.0.0.1:0", {}, "is no address (no host, or the port 0); give tcp://HOST:PORT"),
+        ("tcp://127.0.0.1:70000", {}, "is no address (no host, or the port 70000); give "),
+        ("127.0.0.1:-1", {}, "is no address (no host, or the port -1); give "),
+        ("tcp://:8786", {}, "is no address (no host, or the port 8786); give "),
+        ("tcp://127.0.0.1:abc", {}, "is no address (invalid literal"),
+        ("127.0.0.1", {}, "is no address (missing port number"),
+        ("http://127.0.0.1:8786", {}, "is no address (unknown address scheme 'http'"),
+        ("tls://127.0.0.1:1", {}, "dask cannot read the files for TLS (none are named); name "),
+        ("tls://127.0.0.1:1", {"tls.ca-file": "no.pem", "tls.client.cert": "no.pem"}, "dask cannot "
+         "read the files for TLS ([Errno 2] No such file"),
+        ("tcp://127.0.0.1:1", {"require-encryption": True}, "dask is set to require encryption"),
+    ],
+)  # fmt: skip
+def test_a_scheduler_that_cannot_be_asked_is_one_line(
+    table, tmp_path, monkeypatch, capsys, address, settings, said
+):
+    from dask import config
+
+    monkeypatch.setattr(engine, "CONNECT_SECONDS", 1)
+    words = ["batch", str(table), "-o", str(tmp_path / "runs"), "--scheduler", address]
+    with config.set({f"distributed.comm.{name}": value for name, value in settings.items()}):
+        assert main(words) == UsageError.exit_code
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"clgs: error: --scheduler {address}: {said}")
+
+
+@needs_dask
 @pytest.mark.slow
 def test_two_workers_one_killed_and_this_process_make_the_same_files(table, tmp_path):
     for task in read_scenes(table, tmp_path / "here"):
