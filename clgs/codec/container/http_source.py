@@ -21,7 +21,9 @@ SECONDS = 30.0
 
 _RANGE = re.compile(r"bytes (\d{1,18})-(\d{1,18})/(\d{1,18})", re.IGNORECASE)
 
-_OTHER_LENGTH = "the answer is not as long as its range; download the file and read its bytes"
+_DOWNLOAD = "download the file and read its bytes"
+
+_OTHER_LENGTH = f"the answer is not as long as its range; {_DOWNLOAD}"
 
 
 class HttpSource:
@@ -101,19 +103,13 @@ class HttpSource:
 
     def _check(self, answer: http.client.HTTPResponse, offset: int, length: int) -> int:
         """The bytes of an answer that has the range asked for, which sets the file's size."""
-        problem = ""
-        if answer.status == 200:
-            problem = "the server ignores ranges; download the file and read its bytes"
-        elif 300 <= answer.status < 400:
-            problem = "the file has moved; name the address that it has now"
-        elif answer.status != 206:
-            problem = f"the server says {answer.status}; look at the address"
+        problem = _refusal(answer)
         found = _RANGE.fullmatch(answer.headers.get("Content-Range", ""))
         first, last, size = map(int, found.groups()) if found else (-1, -1, -1)
         if not problem and (first, last) != (offset, min(offset + length, size) - 1):
-            problem = "the server sends another range; download the file and read its bytes"
+            problem = f"the server sends another range; {_DOWNLOAD}"
         if not problem and answer.headers.get("Content-Encoding", "identity") != "identity":
-            problem = "the server packs what it sends; download the file and read its bytes"
+            problem = f"the server packs what it sends; {_DOWNLOAD}"
         if not problem and answer.length not in (None, last - first + 1):
             problem = _OTHER_LENGTH
         if not problem and self.size not in (0, size):
@@ -123,3 +119,16 @@ class HttpSource:
             raise DataError(f"{self._url}: {problem}")
         self.size = size
         return last - first + 1
+
+
+def _refusal(answer: http.client.HTTPResponse) -> str:
+    """Why an answer has no range of a file of known length; "" if it has."""
+    if answer.status == 200:
+        return f"the server ignores ranges; {_DOWNLOAD}"
+    if 300 <= answer.status < 400:
+        return "the file has moved; name the address that it has now"
+    if answer.status != 206:
+        return f"the server says {answer.status}; look at the address"
+    if answer.headers.get("Content-Range", "").endswith("/*"):
+        return f"the server does not say how long the file is; {_DOWNLOAD}"
+    return ""

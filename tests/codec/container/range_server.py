@@ -17,7 +17,8 @@ def serve(files: dict[str, bytes], ranges: bool = True, way: str = "") -> Iterat
 
     way: "pieces": answers come in pieces without a length; "long": they are longer than their
     range; "packed": they say that they are; "leaving": the connection ends after each one,
-    unannounced; "huge": all files are said to have CLAIMED bytes, and answers are cut.
+    unannounced; "huge": all files are said to have CLAIMED bytes, and answers are cut; "unknown":
+    the size of files is not said.
     """
 
     class Handler(BaseHTTPRequestHandler):
@@ -38,7 +39,8 @@ def serve(files: dict[str, bytes], ranges: bool = True, way: str = "") -> Iterat
                 self.send_response(206)
                 size = CLAIMED if way == "huge" else len(data)
                 end = min(last + 1, size) - 1
-                self.send_header("Content-Range", f"bytes {first}-{end}/{size}")
+                said = "*" if way == "unknown" else size
+                self.send_header("Content-Range", f"bytes {first}-{end}/{said}")
             else:
                 self.send_response(200)
             if way == "pieces":

@@ -75,7 +75,14 @@ def test_answers_in_pieces_and_connections_that_end_serve(data, way):
         assert_same(decode(url + "s.clgs", box=box), decode(data, box=box))
 
 
-@pytest.mark.parametrize(("way", "said"), [("long", "not as long as"), ("packed", "packs")])
+@pytest.mark.parametrize(
+    ("way", "said"),
+    [
+        ("long", "not as long as"),
+        ("packed", "packs"),
+        ("unknown", "does not say how long the file is; download the file"),
+    ],
+)
 def test_answers_that_are_not_their_range_are_named(data, way, said):
     with serve({"s.clgs": data}, way=way) as url, pytest.raises(DataError, match=said):
         decode(url + "s.clgs")
