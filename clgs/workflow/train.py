@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from clgs.data.origin import repose
-from clgs.errors import UsageError
-from clgs.exports.run_report import write_run_report
+from clgs.errors import DataError, UsageError
+from clgs.exports.run_report import REPORT, write_run_report
 from clgs.files import check_folder, write_json
 from clgs.memory import return_freed_memory
 from clgs.opencl.device import Device
@@ -36,7 +36,7 @@ from clgs.workflow.views import scene_name
 class TrainedRun:
     """A run: its result, its steps, and what was measured if that was asked for.
 
-    was_finished: the folder held the result already; times: (stage, calls, median milliseconds,
+    was_finished: the folder held all of it already; times: (stage, calls, median milliseconds,
     seconds in all) of each stage; saved: what each skip saved on the first view.
     """
 
@@ -99,8 +99,11 @@ def train(
     if start is not None:
         dataset = repose(dataset, finished_settings(start)[0].scene.transform)
     config = config.for_devices(len(devices)).for_dataset(dataset.kind)
+    further = "" if start is None else f", from {start} on"
+    lead = f"Trained on {data}{further}."
+    write_report = partial(write_run_report, folder, command, lead, title=scene_name(data))
     if resume and (finished := finished_run(folder, dataset, config)):
-        return TrainedRun(finished, config.steps, was_finished=True)
+        return read_finished(finished, config.steps, write_report, on_event)
     first = None if start is None else partial(state_of_run, opened, dataset, folder=start)
     session = Session(dataset, folder, config, opened, resume, first, others)
 
@@ -119,6 +122,19 @@ def train(
             "skips": [{**asdict(saving), "share": saving.share} for saving in saved],
         }
         write_json(folder / "profile.json", record)
-    further = "" if start is None else f", from {start} on"
-    write_run_report(folder, command, lead=f"Trained on {data}{further}.", title=scene_name(data))
+    write_report()
     return TrainedRun(result, config.steps, times=tuple(rows), saved=tuple(saved))
+
+
+def read_finished(
+    found: RunResult, steps: int, write_report: Callable[[], object], on_event: OnEvent
+) -> TrainedRun:
+    """A run of these steps that is finished; it may have been killed before it had its report."""
+    if (found.folder / REPORT).exists():
+        return TrainedRun(found, steps, was_finished=True)
+    try:
+        write_report()
+    except DataError as error:  # its pictures are not needed otherwise, and may be removed
+        on_event(Note(f"no {REPORT}: {error}"))
+        return TrainedRun(found, steps, was_finished=True)
+    return TrainedRun(found, steps)

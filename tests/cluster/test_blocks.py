@@ -20,7 +20,7 @@ from clgs.data.origin import repose
 from clgs.errors import DataError, ExistsError, UsageError
 from clgs.scene.storage import load_scene
 from clgs.train.config import preset
-from clgs.train.run.run_folder import RESULTS
+from clgs.train.run.run_folder import RESULTS, FolderLock
 from clgs.train.state.checkpoint import checkpoints
 from tests.cluster.kill import killed_once
 from tests.small_scene import write_scene
@@ -117,6 +117,42 @@ def test_a_run_goes_on_as_it_began_in_blocks_or_without(trained, balls, tmp_path
     capsys.readouterr()
     assert train(balls, begun, "--blocks", "2x1", "--resume") == ExistsError.exit_code
     assert "holds a run without blocks; leave out --blocks" in capsys.readouterr().err
+
+
+def test_a_run_that_was_killed_before_its_report_gets_it(trained, balls, tmp_path, capsys):
+    folder = shutil.copytree(trained, tmp_path / "run")
+    (folder / "report.html").unlink()
+    assert train(balls, folder, "--blocks", "2x1", "--resume") == 0
+    assert "nothing is changed" not in capsys.readouterr().out
+    assert "in 2 blocks" in (folder / "report.html").read_text()
+
+
+def test_no_other_command_comes_in_before_the_report(trained, balls, tmp_path, monkeypatch):
+    folder = shutil.copytree(trained, tmp_path / "run")
+    (folder / RESULTS).unlink()
+    watched = []
+
+    def watch(name):
+        real = getattr(blocks_run, name)
+
+        def guarded(*args, **kwargs):
+            with pytest.raises(DataError, match="another process works in it"):
+                FolderLock(folder)
+            watched.append(name)
+            return real(*args, **kwargs)
+
+        monkeypatch.setattr(blocks_run, name, guarded)
+
+    names = ["merged_scene", "repose", "write_run_report"]
+    for name in names:
+        watch(name)
+    assert train(balls, folder, "--blocks", "2x1", "--resume") == 0
+    assert watched == names
+    FolderLock(folder).release()
+    monkeypatch.setattr(blocks_run, "coarse_config", lambda *_: 1 / 0)
+    watch("remove_run")
+    assert train(balls, folder, "--blocks", "2x1", "--overwrite") == 1
+    assert watched[-1] == "remove_run"
 
 
 @pytest.mark.parametrize(

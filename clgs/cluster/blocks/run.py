@@ -16,7 +16,7 @@ from clgs.cluster.blocks.plan import (
     read_plan,
     up_of,
 )
-from clgs.cluster.blocks.schedule import check_settings, coarse_config, joint_begin, joint_config
+from clgs.cluster.blocks.schedule import check_settings, coarse_config, joint_config
 from clgs.cluster.blocks.task import block_tasks, train_block
 from clgs.cluster.engine import (
     Message,
@@ -35,6 +35,7 @@ from clgs.files import check_folder, make_folder, write_json
 from clgs.machine import available_memory
 from clgs.memory import peak_memory, return_freed_memory
 from clgs.opencl.device import Device
+from clgs.scene.scene import QuantizedScene
 from clgs.train.config import TrainConfig
 from clgs.train.run.load import load_for
 from clgs.train.run.run_folder import (
@@ -51,7 +52,7 @@ from clgs.train.run.run_folder import (
 from clgs.train.run.session import Progress, Session
 from clgs.workflow.events import Note, OnEvent, StageProgress, TrainingProgress, counter, ignore
 from clgs.workflow.outputs import check_apart
-from clgs.workflow.train import TrainedRun
+from clgs.workflow.train import TrainedRun, read_finished
 from clgs.workflow.views import scene_name
 
 ROWS = "rows.json"
@@ -115,18 +116,18 @@ def train_in_blocks(
     memory = _memory_of_a_worker(folder, workers, scheduler, device)
     return_freed_memory()
     config, width = _resolved(data, config)
-    if overwrite and folder.is_dir():
-        FolderLock(folder).release()  # DataError: another process works there
-        remove_run(folder)
-    joint = joint_config(config)
-    if (folder / RESULTS).exists():
-        whole = load_for(joint, data, folder)
-        if found := finished_run(folder, whole, joint):
-            return TrainedRun(found, config.steps, was_finished=True)
+    opened = opened_device(device)
     make_folder(folder)
     lock = FolderLock(folder)
-    opened = opened_device(device)
     try:
+        if overwrite:
+            remove_run(folder)
+        joint = joint_config(config)
+        write_report = partial(_write_report, data, folder, command)
+        if (folder / RESULTS).exists():
+            whole = load_for(joint, data, folder)
+            if found := finished_run(folder, whole, joint):
+                return read_finished(found, config.steps, write_report, on_event)
         reduced = coarse_config(config, width)
         coarse, plan = _coarse_and_plan(data, folder, reduced, counts, opened, memory, on_event)
         _say(plan, on_event)
@@ -142,19 +143,39 @@ def train_in_blocks(
                 )
         _check_rows(rows)
         write_json(folder / BLOCKS / ROWS, sorted(rows, key=lambda row: str(row["run"])))
+        merged = merged_scene(folder / BLOCKS, plan.cuts, coarse.scene)
+        result = _train_merged(data, folder, joint, merged, opened, lock, on_event)
+        write_report()
+        return TrainedRun(result, config.steps)
     finally:
         lock.release()
+
+
+def _train_merged(
+    data: Path,
+    folder: Path,
+    config: TrainConfig,
+    merged: QuantizedScene,
+    device: Device,
+    lock: FolderLock,
+    on_event: OnEvent,
+) -> RunResult:
+    """The run of all that blocks own, with the settings ``config`` of its part of the steps."""
     forget_peak_memory()
-    merged = merged_scene(folder / BLOCKS, plan.cuts, coarse.scene)
     on_event(Note(f"{len(merged.anchors):,} anchors merged; all learn for the steps that are left"))
-    whole = load_for(joint, data, folder, lambda line: on_event(Note(line)))
+    whole = load_for(config, data, folder, lambda line: on_event(Note(line)))
     whole = repose(whole, merged.transform)
-    first = partial(merged_state, opened, whole, merged, joint_begin(config))
-    session = Session(whole, folder, joint, opened, resume=True, first=first)
-    result = session.run(_report(joint, on_event))
-    lead = f"Trained on {data} in {len(tasks)} blocks."
+    first = partial(merged_state, device, whole, merged, config.switch_step)
+    session = Session(whole, folder, config, device, resume=True, first=first, lock=lock)
+    return session.run(_report(config, on_event))
+
+
+def _write_report(data: Path, folder: Path, command: str) -> None:
+    """Write the report on the finished run in ``folder``."""
+    plan = read_plan(folder / BLOCKS)
+    count = "" if plan is None else f"{len(plan.train)} "
+    lead = f"Trained on {data} in {count}blocks."
     write_run_report(folder, command, lead=lead, title=scene_name(data))
-    return TrainedRun(result, config.steps)
 
 
 def _memory_of_a_worker(

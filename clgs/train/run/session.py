@@ -73,12 +73,14 @@ class Session:
         resume: bool,
         first: Callable[[TrainConfig], RunState] | None = None,
         others: Sequence[Device] = (),
+        lock: FolderLock | None = None,
     ) -> None:
         """Prepare a new run, in place of one in ``folder``, or the continuation of one.
 
         ``first``: gives the state that a new run begins with, for its settings; without it the run
         begins with the points of ``dataset``. ``others``: devices that look at views of a batch
-        next to ``device``, which has the state of the run.
+        next to ``device``, which has the state of the run. ``lock``: of ``folder``, which the
+        caller holds and releases; without it the folder is locked until the run ends.
 
         Raises:
             UsageError: a batch has more views than there are training photos.
@@ -92,7 +94,9 @@ class Session:
         self.folder, self.config, self.device = folder, config, device
         self._names = [each.name for each in (device, *others)]
         self.dataset = dataset
-        lock = FolderLock(folder) if folder.is_dir() else None
+        self._is_locked_by_caller = lock is not None
+        if lock is None and folder.is_dir():
+            lock = FolderLock(folder)
         goes_on = resume and bool(checkpoints(folder / "checkpoint"))
         state = None
         if first is not None and not goes_on:
@@ -125,7 +129,8 @@ class Session:
             self._train(on_progress)
             return self.keeper.with_room(self._finish)
         finally:
-            self._lock.release()
+            if not self._is_locked_by_caller:
+                self._lock.release()
 
     def _train(self, on_progress: Callable[[Progress], None] | None) -> None:
         """Do all steps that are left, and write a checkpoint of the last one."""

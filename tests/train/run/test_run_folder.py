@@ -83,6 +83,26 @@ def test_the_command_says_that_a_run_is_finished(data, tmp_path, monkeypatch, ca
 
 
 @pytest.mark.slow
+def test_a_run_that_was_killed_before_its_report_gets_it(data, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("clgs.data.points.HULL_POINTS", 3000)  # for speed
+    command = ["train", str(data), "-o", str(tmp_path / "run"), "--steps", "3"]
+    assert cli.main(command) == 0
+    report = tmp_path / "run" / "report.html"
+    whole = report.read_bytes()
+    report.unlink()
+    capsys.readouterr()
+    assert cli.main([*command, "--resume"]) == 0
+    assert "nothing is changed" not in capsys.readouterr().out
+    assert report.read_bytes() == whole
+    report.unlink()
+    shutil.rmtree(tmp_path / "run" / "test")  # the pictures, which only the report needs
+    assert cli.main([*command, "--resume"]) == 0
+    shown = capsys.readouterr()
+    assert "no report.html: " in shown.err
+    assert "nothing is changed" in shown.out
+
+
+@pytest.mark.slow
 def test_another_data_set_is_refused_before_it_is_read(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("clgs.data.points.HULL_POINTS", 3000)  # for speed
     pair = tmp_path / "pair"
