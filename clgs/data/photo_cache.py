@@ -1,5 +1,7 @@
 """Large photos as they are used, kept in the user's cache folder: decoding them takes long.
 
+Points of photos are kept there, too (:mod:`clgs.poses.triangulate`).
+
 A file's name follows from everything that its pixels depend on, the contents of the photo included.
 Files that are damaged are made again; the oldest go if all take more than LIMIT bytes.
 """
@@ -70,11 +72,11 @@ def kept_pixels(files: list[Path], settings: object, make: Callable[[], Pixels])
     with suppress(ClgsError, OSError):
         make_folder(kept.parent)
         atomic_write(kept, buffer.getvalue())
-        _forget_oldest(kept.parent)
+        forget_oldest(kept.parent)
     return pixels
 
 
-def _forget_oldest(folder: Path) -> None:
+def forget_oldest(folder: Path) -> None:
     """Remove the files that were not used for longest, until the others take at most LIMIT."""
     files = sorted((file.stat().st_mtime, file.stat().st_size, file) for file in folder.iterdir())
     excess = sum(size for _, size, _ in files) - LIMIT

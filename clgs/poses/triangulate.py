@@ -14,7 +14,9 @@ import os
 import tempfile
 import zipfile
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
+from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +27,10 @@ from PIL import Image
 from clgs.data.images import read_image
 from clgs.data.lens import Lens
 from clgs.data.masks import read_mask, save_mask
+from clgs.data.photo_cache import FOLDER, forget_oldest
 from clgs.data.posed_photo import Photo
-from clgs.errors import DataError
-from clgs.files import atomic_path, make_folder, text_bytes
+from clgs.errors import ClgsError, DataError
+from clgs.files import atomic_path, cache_folder, make_folder, text_bytes
 from clgs.poses.child import OnStage, run_child
 from clgs.poses.input.photo_json import from_plain, to_plain
 from clgs.poses.judging.evidence import sampson_error
@@ -83,40 +86,52 @@ class _Features:
 
 def triangulate(
     photos: list[Photo],
-    cache: Path | None = None,
+    folder: Path | None = None,
     seed: int = 0,
     on_stage: Callable[[str], None] = lambda stage: None,
 ) -> Points:
     """Triangulate points that at least two of the ``photos`` see, at their given poses.
 
-    The result is kept in the folder ``cache``, under a name made from poses, lenses, contents of
-    images and seed, and is read from there the next time. ``on_stage`` receives a line of text
-    before long work begins.
+    The result is kept in ``folder`` and in the user's cache folder, under a name made from poses,
+    lenses, contents of images, seed and pycolmap's version, and is read from there the next time.
+    ``on_stage`` receives a line of text before long work begins.
 
     Raises:
         DataError: there are fewer than two photos, or pycolmap is missing or fails.
     """
     if len(photos) < 2:
         raise DataError("a single photo gives no depth")
-    file = None if cache is None else cache / f"points-{_key(photos, seed)}.npz"
-    if file is not None and (cached := _read_cache(file)) is not None:
-        return cached
-    on_stage(f"finding points in {len(photos)} photos")
-    with tempfile.TemporaryDirectory(prefix="clgs-") as folder:
-        plain = [to_plain(photo) for photo in photos]
-        run_child(__name__, "triangulation", [plain, folder, seed], on_stage)
-        with np.load(Path(folder) / _RESULT, allow_pickle=False) as arrays:
-            points = Points(arrays["position"], arrays["color"])
-    if file is not None:
+    name = f"points-{_key(photos, seed)}.npz"
+    own = () if folder is None else (folder / name,)
+    cached = cache_folder() / FOLDER / name
+    points = next(filter(None, map(_read, (*own, cached))), None)
+    if points is None:
+        on_stage(f"finding points in {len(photos)} photos")
+        with tempfile.TemporaryDirectory(prefix="clgs-") as made:
+            plain = [to_plain(photo) for photo in photos]
+            run_child(__name__, "triangulation", [plain, made, seed], on_stage)
+            with np.load(Path(made) / _RESULT, allow_pickle=False) as arrays:
+                points = Points(arrays["position"], arrays["color"])
+    for file in own:
+        _write(file, points)
+    with suppress(ClgsError, OSError):
+        _write(cached, points)
+        forget_oldest(cached.parent)
+    return points
+
+
+def _write(file: Path, points: Points) -> None:
+    """Keep points in a file, unless it has some."""
+    if _read(file) is None:
         make_folder(file.parent)
         with atomic_path(file) as temporary:
             np.savez(temporary, position=points.position, color=points.color)
-    return points
 
 
 def _key(photos: list[Photo], seed: int) -> str:
     """Make a name from everything that the points depend on."""
-    digest = hashlib.blake2b(f"{_VERSION} {seed}".encode(), digest_size=10)
+    of_pycolmap = "".join(one.version for one in distributions(name="pycolmap"))
+    digest = hashlib.blake2b(f"{_VERSION} {of_pycolmap} {seed}".encode(), digest_size=10)
     for photo in photos:
         digest.update(text_bytes(f"{photo.name} {photo.lens}"))
         digest.update(np.vstack([photo.rotation, photo.translation]).tobytes())
@@ -125,8 +140,10 @@ def _key(photos: list[Photo], seed: int) -> str:
     return digest.hexdigest()
 
 
-def _read_cache(file: Path) -> Points | None:
-    """Read cached points; None if there are none or the file is damaged."""
+def _read(file: Path) -> Points | None:
+    """Read points; None if there are none or the file is damaged."""
+    with suppress(OSError):
+        os.utime(file)  # it is in use
     try:
         with file.open("rb") as opened, load_archive(opened) as arrays:
             position, color = arrays["position"], arrays["color"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,23 @@ from PIL import Image
 from clgs.cli.main import main
 from clgs.data.posed_photo import Photo
 from clgs.data.transforms import read_transforms
+from clgs.poses import triangulate as module
 from clgs.poses.triangulate import Points, triangulate
 from tests.data.folders import noise_image, write_room
 
 pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
+
+
+@pytest.fixture(autouse=True)
+def user_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A cache folder in which nothing is yet."""
+    folder = tmp_path_factory.mktemp("cache")
+    monkeypatch.setenv("CLGS_CACHE", str(folder))
+    return folder / "photos"
+
+
+def no_child(*arguments: object) -> None:
+    pytest.fail("points are searched for")
 
 
 def photos(root: Path) -> list[Photo]:
@@ -46,6 +60,26 @@ def test_points_lie_on_the_walls_and_are_cached(tmp_path: Path):
     file.write_bytes(b"damaged")
     assert len(room_points(tmp_path / "room", cache).position) == len(points.position)
     assert len(list(cache.iterdir())) == 1
+
+
+@pytest.mark.slow
+def test_another_run_takes_the_points_of_the_first(
+    tmp_path: Path, user_cache: Path, monkeypatch: pytest.MonkeyPatch
+):
+    write_room(tmp_path / "room", 3, (64, 48))
+    points = room_points(tmp_path / "room", tmp_path / "run")
+    (kept,) = user_cache.iterdir()
+    with monkeypatch.context() as patched:
+        patched.setattr(module, "run_child", no_child)
+        again = room_points(tmp_path / "room", tmp_path / "other")
+        assert np.array_equal(again.position, points.position)
+        kept.unlink()  # the other run can go on without it
+        room_points(tmp_path / "room", tmp_path / "other")
+        assert kept.is_file()
+    shutil.rmtree(user_cache)
+    user_cache.write_bytes(b"no folder")
+    again = room_points(tmp_path / "room")
+    assert np.array_equal(again.position, points.position)
 
 
 @pytest.mark.slow

@@ -63,7 +63,8 @@ def with_points(
     Args:
         dataset: its folder still holds the photos.
         config: of the run, for the seed and the random points; default: ``TrainConfig()``.
-        cache: folder that keeps triangulated points; never the data folder.
+        cache: folder that keeps triangulated points, besides the user's cache folder; never the
+            data folder.
         on_stage: called with a line before work that takes minutes.
 
     Raises:

@@ -23,7 +23,8 @@ from tests.data.folders import (
 
 
 @pytest.mark.slow
-def test_points_are_triangulated_once(tmp_path):
+def test_points_are_triangulated_once(tmp_path, monkeypatch):
+    monkeypatch.setenv("CLGS_CACHE", str(tmp_path / "cache"))
     pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
     write_room(tmp_path / "data", 6)
     stages: list[str] = []
