@@ -18,10 +18,12 @@ def test_few_anchors_at_the_start_say_little_of_later_steps(tmp_path, monkeypatc
     write_blender(tmp_path / "data")
     monkeypatch.setattr("clgs.data.points.HULL_POINTS", start)
     monkeypatch.setattr(device_speed, "synthetic_speed", lambda device: SLOW)
+    measured = device_speed._step_seconds  # much, if other programs run
+    monkeypatch.setattr(device_speed, "_step_seconds", lambda *step: min(measured(*step), 0.004))
     photos = Photos(8, 40, 40, synthetic=True)
     data, run = tmp_path / "data", tmp_path / "run"
     found = device_speed.speed_on(Device(), data, photos, run, 0, ignore)
-    assert (found.fixed > 0.05) == slow  # a step takes some milliseconds at most
+    assert (found.fixed > 0.05) == slow
     assert found.step(1600) < SLOW.step(1600)
 
 

@@ -63,7 +63,7 @@ def with_points(
     Args:
         dataset: its folder still holds the photos.
         config: of the run, for the seed and the random points; default: ``TrainConfig()``.
-        cache: folder that keeps triangulated points, besides the user's cache folder; never the
+        cache: folder that keeps triangulated points, as the user's cache folder does; never the
             data folder.
         on_stage: called with a line before work that takes minutes.
 
