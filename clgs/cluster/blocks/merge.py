@@ -45,12 +45,12 @@ def merged_state(
     """The state in which all of ``merged`` learns after step ``begun``, without the least anchors.
 
     An ordinary run leaves them out in rounds before its switch to integers, and grows others
-    after the first of these; here the rounds after the first one follow each other. Without a
-    price all anchors stay.
+    after the first of these; here the rounds after the first one, up to ``begun``, follow each
+    other. Without a price all anchors stay.
     """
     state = block_state(device, dataset, merged, begun, config)
     economy = Economy(device, dataset, config, Rounding(device, config))
     for step in economy.steps[1:]:
-        if step < config.switch_step:
+        if step <= begun:
             economy.round(state, step)
     return state

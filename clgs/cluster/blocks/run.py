@@ -16,7 +16,7 @@ from clgs.cluster.blocks.plan import (
     read_plan,
     up_of,
 )
-from clgs.cluster.blocks.schedule import check_settings, coarse_config, joint_config
+from clgs.cluster.blocks.schedule import check_settings, coarse_config, joint_begin, joint_config
 from clgs.cluster.blocks.task import block_tasks, train_block
 from clgs.cluster.engine import (
     Message,
@@ -165,7 +165,7 @@ def _train_merged(
     on_event(Note(f"{len(merged.anchors):,} anchors merged; all learn for the steps that are left"))
     whole = load_for(config, data, folder, lambda line: on_event(Note(line)))
     whole = repose(whole, merged.transform)
-    first = partial(merged_state, device, whole, merged, config.switch_step)
+    first = partial(merged_state, device, whole, merged, joint_begin(config))
     session = Session(whole, folder, config, device, resume=True, first=first, lock=lock)
     return session.run(_report(config, on_event))
 

@@ -23,6 +23,11 @@ COARSE_WIDTH = 400
 narrower ones the MLPs learn too little for blocks, in which they rest.
 """
 
+JOINT_SHARE = 0.8
+"""The merged scene learns as a whole from this share of the steps before the switch to integers on:
+what anchors that do not earn their bytes showed is learned by others between rounds.
+"""
+
 LEAST_STEPS = 10
 """Shorter runs have no room for three parts."""
 
@@ -79,21 +84,27 @@ def block_config(config: TrainConfig, share: float, box: str) -> tuple[TrainConf
 def joint_begin(config: TrainConfig) -> int:
     """The number of the last step before the merged scene is trained as a whole.
 
-    That of the switch to integers, as far as it leaves steps to each of the three parts.
+    It leaves steps to each of the three parts.
     """
-    return min(max(config.switch_step, round(COARSE_SHARE * config.steps) + 2), config.steps - 2)
+    begin = round(JOINT_SHARE * config.switch_step)
+    return min(max(begin, round(COARSE_SHARE * config.steps) + 2), config.steps - 2)
 
 
 def joint_config(config: TrainConfig) -> TrainConfig:
-    """The settings of the merged scene: what follows the switch to integers in any run."""
+    """The settings of the merged scene: from the last steps before the switch to integers on.
+
+    No round before it thinned what grew, so that rounds go on until anchors rest.
+    """
     begin = joint_begin(config)
-    later = {name: max(begin, getattr(config, name)) for name in ("freeze_step", "mlp_switch_step")}
-    later["prune_end"] = later["freeze_step"]  # no round before thinned what grew
+    names = ("switch_step", "freeze_step", "mlp_switch_step")
+    later = {name: max(begin, getattr(config, name)) for name in names}
+    later["prune_end"] = later["freeze_step"]
+    later["switch_step"] = min(later["switch_step"], config.steps - 1)
     growth = {
         name: min(getattr(config, name), begin)
         for name in ("statistics_start", "growth_start", "growth_end")
     }
-    return replace(config, switch_step=begin, coarse_to_fine=False, **growth, **later)
+    return replace(config, coarse_to_fine=False, **growth, **later)
 
 
 def _unpriced(config: TrainConfig, steps: int) -> TrainConfig:
