@@ -339,7 +339,8 @@ class Device:
             return
         self.launches += 1
         sizes = tuple(global_size), tuple(local_size) if local_size else None
-        event = kernel.built(self.queue, *sizes, *ordered)
+        with kernel.lock:
+            event = kernel.built(self.queue, *sizes, *ordered)
         if self._kernel_times:
             self._kernel_times.add(kernel.name, event)
 

@@ -5,6 +5,7 @@ A wrong name, a missing or a further one, and a wrong type are errors before any
 
 from __future__ import annotations
 
+from threading import Lock
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -25,6 +26,7 @@ class Kernel:
         """``built`` from a source that declares ``parameters``."""
         self.name = str(built.function_name)
         self.built = built
+        self.lock = Lock()  # of its arguments: other threads must not set theirs before the launch
         self.parameters = parameters
         self._names = [one.name for one in parameters]
         self._dtypes = [one.dtype for one in parameters]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import weakref
 from collections import deque
 from collections.abc import Callable, Sequence
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -117,6 +118,7 @@ class Transfers:
         """``queue`` executes in order; ``waits`` counts those for it; ``pinned``: for reads."""
         self._queue, self._waits, self._pinned = queue, waits, pinned
         self._under_way: deque[Any] = deque()
+        self._lock = Lock()
 
     @tells_of_loss
     def write(self, buffer: Any, host: npt.NDArray[Any]) -> None:
@@ -141,8 +143,9 @@ class Transfers:
         """Write an array that never changes; does not wait."""
         constant = np.ascontiguousarray(host)
         # hold event, which holds its host array; release those that are complete
-        while self._under_way and is_complete(self._under_way[0]):
-            self._under_way.popleft()
+        with self._lock:
+            while self._under_way and is_complete(self._under_way[0]):
+                self._under_way.popleft()
         self._under_way.append(cl.enqueue_copy(self._queue, buffer, constant, is_blocking=False))
 
     @tells_of_loss

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import time
+from concurrent.futures import ThreadPoolExecutor
+from threading import Lock
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -125,3 +130,19 @@ def test_parameters_of_other_types_are_an_error(parameter):
 def test_a_condition_that_is_not_understood_is_an_error():
     with pytest.raises(ValueError, match="not understood"):
         signatures("#if WIDTH << 2\n#endif", {"WIDTH": "4"})
+
+
+def test_threads_launch_a_kernel_one_after_the_other(device):
+    """pyopencl sets the arguments of a kernel before it launches it: others would mix theirs in."""
+    inside, most = [], []
+
+    def built(*_):
+        inside.append(1)
+        time.sleep(0.05)
+        most.append(len(inside))
+        inside.pop()
+
+    kernel = SimpleNamespace(built=built, ordered=lambda _: [], name="slow", lock=Lock())
+    with ThreadPoolExecutor(3) as pool:
+        list(pool.map(lambda _: device.run(kernel, (1,), None), range(3)))
+    assert most == [1, 1, 1]
