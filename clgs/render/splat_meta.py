@@ -114,7 +114,7 @@ def meta_of(
         "depths": lambda: shaped(projected("depth")),
         "conics": lambda: shaped(conics()),
         "opacities": lambda: shaped(projected("opacity")),
-        "tiles_per_gauss": lambda: shaped(lists.counts()),
+        "tiles_per_gauss": lambda: shaped(lists.counts().reshape(len(drawn), count)),
         "isect_ids": lambda: lists.entries()[0],
         "flatten_ids": lambda: lists.entries()[1],
         "isect_offsets": lambda: lists.offsets().reshape(*batch, cameras, rows, columns),
@@ -138,7 +138,7 @@ class _Lists:
     def counts(self) -> npt.NDArray[np.int32]:
         """Entries (pictures, N)."""
         found = [self.device.download(lists_of(self.device, d).row_range) for d in self.drawn]
-        return np.asarray(np.diff(np.array(found, np.int32), axis=1), np.int32)
+        return np.array([np.diff(one) for one in found], np.int32)
 
     def offsets(self) -> npt.NDArray[np.int32]:
         """First entry of every tile of every picture."""

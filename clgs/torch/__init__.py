@@ -94,9 +94,9 @@ def rasterization(*arguments: Any, **others: Any) -> tuple[Tensor, Tensor, Meta]
     render_mode = given["render_mode"]
     call, flat = checked_call(given)
     batch, (b, c) = call.given.batch, call.given.viewmats.shape[:2]
-    shade = torch.zeros(call.given.backgrounds.shape)
+    shade = given["means"].new_zeros(call.given.backgrounds.shape)
     if given["backgrounds"] is not None and "RGB" in render_mode:
-        own = given["backgrounds"].reshape(b, c, -1)
+        own = given["backgrounds"].reshape(b, c, given["backgrounds"].shape[-1])
         shade = torch.cat([own, shade[..., own.shape[-1] :]], dim=-1)
     how = call.options, render_mode != "RGB", given["alpha_max"], given["absgrad"]
     blend = BlendCall(call.device, call.size, *how, call.given.backgrounds, seen=call)
@@ -134,7 +134,7 @@ def _colors(
     given = call.given
     stored = colors.reshape(given.colors.shape)
     if "RGB" not in render_mode:
-        return torch.zeros(*stored.shape[:3], 0)
+        return stored.new_zeros(*stored.shape[:3], 0)
     if sh_degree is None:
         return stored
     assert means is not None
@@ -146,7 +146,7 @@ def _colors(
         )
         for batch, number in product(*map(range, given.viewmats.shape[:2]))
     ]
-    every = torch.stack(seen) if seen else torch.zeros(0, stored.shape[2], 3)
+    every = torch.stack(seen) if seen else stored.new_zeros(0, stored.shape[2], 3)
     shape = (*given.viewmats.shape[:2], stored.shape[2], 3)
     return torch.clamp_min(every.reshape(shape) + 0.5, 0.0)
 

@@ -18,6 +18,7 @@ from clgs.render.decoded_anchors import check_floats, decode
 from clgs.render.rasterization import default_device
 from clgs.scene.anchors import Anchors
 from clgs.scene.camera import Camera
+from clgs.torch.functions import once
 from clgs.torch.tensors import checked, host_of
 
 
@@ -163,6 +164,7 @@ class Decode(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         return tuple(results)
 
     @staticmethod
+    @once
     def backward(ctx: Any, *d: Tensor) -> tuple[Tensor | None, ...]:
         """Gradients by offset, feature, scaling and weights."""
         _ = ctx.saved_tensors  # asks whether they changed
@@ -201,9 +203,10 @@ class Rate(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         device = default_device()
         ctx.rate = rate_op.forward(device, device.share(host_of(x)), float(q), form)
         ctx.save_for_backward(x)
-        return torch.tensor(ctx.rate.bits)
+        return x.new_tensor(ctx.rate.bits)
 
     @staticmethod
+    @once
     def backward(ctx: Any, *d: Tensor) -> tuple[Tensor | None, ...]:
         """The gradient by x."""
         device, host = default_device(), host_of(ctx.saved_tensors[0])

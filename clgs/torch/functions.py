@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import wraps
 from itertools import product
 from typing import Any
 
@@ -26,6 +27,36 @@ from clgs.torch.tensors import (
     stacked,
     unpacked_rows,
 )
+
+
+def once(backward: Callable[..., Any]) -> Callable[..., Any]:
+    """A backward pass in float32 whose own derivatives are refused, not taken for zeros."""
+
+    @wraps(backward)
+    def checked(ctx: Any, *d: Tensor | None) -> Any:
+        with torch.no_grad(), torch.autocast("cpu", enabled=False):
+            found = backward(ctx, *d)
+        if not torch.is_grad_enabled():
+            return found
+        return Refuse.apply(torch.zeros((), device="cpu", requires_grad=True), *found)
+
+    return checked
+
+
+class Refuse(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
+    """Gradients as they are, which depend on the first tensor; they have no gradient."""
+
+    @staticmethod
+    def forward(ctx: Any, _: Tensor, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
+        """Copy, so that they may be changed in place."""
+        return tuple(None if one is None else one.clone() for one in gradients)
+
+    @staticmethod
+    def backward(ctx: Any, *d: Tensor) -> tuple[Tensor | None, ...]:
+        """Nobody computes it."""
+        raise NotImplementedError(
+            "clgs.torch: second derivatives are not offered; .detach() the gradients"
+        )
 
 
 class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
@@ -88,6 +119,7 @@ class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         return tuple(results)
 
     @staticmethod
+    @once
     def backward(ctx: Any, *d: Tensor | None) -> tuple[Tensor | None, ...]:
         """Gradients by the Gaussians and the cameras."""
         call, device = ctx.call, ctx.call.device
@@ -126,7 +158,7 @@ class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         d_shape = total.get("d_shape")
         d_covars = None
         if ctx.by_covariance and d_shape is not None:
-            d_covars = torch.zeros(*d_shape.shape[:2], 3, 3)
+            d_covars = d_shape.new_zeros(*d_shape.shape[:2], 3, 3)
             d_covars[..., [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]] = d_shape
             d_shape = None
         return (
@@ -180,9 +212,10 @@ class Blend(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         ctx.save_for_backward(centres, whitening, depths, opacities, extents, colors, backgrounds)
         ctx.call, ctx.left = call, torch.from_numpy(left)
         ctx.set_materialize_grads(False)
-        return torch.from_numpy(image), torch.from_numpy(1 - left)[..., None]
+        return torch.from_numpy(image), torch.from_numpy((1 - left)[..., None])
 
     @staticmethod
+    @once
     def backward(ctx: Any, *d: Tensor | None) -> tuple[Tensor | None, ...]:
         """Gradients by all that lies on the screen, colors and backgrounds."""
         call, device = ctx.call, ctx.call.device
@@ -211,6 +244,8 @@ class Blend(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         centres = call.centres() if call.centres is not None else None
         if call.absgrad and centres is not None:
             absolute = packed_rows(rows, made["d_absolute"])
+            if absolute.size != centres.numel():  # packed rows, which all pictures share
+                absolute = absolute.sum(axis=(0, 1))
             centres.absgrad = torch.from_numpy(absolute.reshape(centres.shape))
         d_colors = made["d_color"]
         if colors.shape[1] != sizes[1]:
@@ -240,6 +275,7 @@ class Harmonics(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         return result
 
     @staticmethod
+    @once
     def backward(ctx: Any, *d: Tensor) -> tuple[Tensor | None, ...]:
         """Gradients by directions and coefficients."""
         device = default_device()

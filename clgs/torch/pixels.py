@@ -173,8 +173,8 @@ def rasterize_to_pixels(
     numbers = host_of(flatten_ids).astype(np.int64), host_of(isect_offsets).astype(np.int64)
     shown_tiles = None if masks is None else host_of(masks)
     lists = _lists(device, size, count, packed, *numbers, shown_tiles)
-    shade = torch.zeros(*images, channels) if backgrounds is None else backgrounds
-    shade, depths = shade.reshape(pictures, 1, channels), torch.zeros(pictures, 1, count)
+    shade = centres.new_zeros(*images, channels) if backgrounds is None else backgrounds
+    shade, depths = shade.reshape(pictures, 1, channels), centres.new_zeros(pictures, 1, count)
     how = DEFAULT, False, ALPHA_MAX, absgrad, host_of(shade), host_of(color)
     call = BlendCall(device, size, *how, lists=lists)
     call.centres = weakref.ref(means2d)

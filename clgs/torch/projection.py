@@ -110,7 +110,7 @@ def fully_fused_projection(  # noqa: PLR0913  gsplat's arguments
     """
     if covars is not None:
         covars = covars[..., [0, 1, 2, 1, 3, 4, 2, 4, 5]].unflatten(-1, (3, 3))
-    shown = torch.ones(means.shape[:-1]) if opacities is None else opacities
+    shown = means.new_ones(means.shape[:-1]) if opacities is None else opacities
     bound = SIGNATURE.bind(
         means, quats, scales, shown, shown[..., None], viewmats, Ks, width, height,
         near_plane, far_plane, radius_clip, eps2d, packed=packed, sparse_grad=sparse_grad,

@@ -91,12 +91,16 @@ def checked(name: str, tensor: Any) -> npt.NDArray[Any] | None:
         raise TypeError(f"{name}: is {type(tensor).__name__}; give a tensor")
     if tensor.device.type != "cpu":
         raise ValueError(f"{name}: is on {tensor.device}; tensors lie on the CPU: .cpu()")
-    return host_of(tensor)
+    try:
+        return host_of(tensor)
+    except (TypeError, RuntimeError) as error:
+        what = f"{tensor.dtype}, {tensor.layout}, shape {tuple(tensor.shape)}"
+        raise TypeError(f"{name}: {what}: NumPy cannot read it: {error}") from None
 
 
 def host_of(tensor: Tensor) -> npt.NDArray[Any]:
     """The tensor's memory as a contiguous array."""
-    return np.ascontiguousarray(tensor.detach().numpy())
+    return np.ascontiguousarray(tensor.detach().resolve_neg().numpy())
 
 
 def stacked(arrays: list[npt.NDArray[Any]]) -> npt.NDArray[Any]:

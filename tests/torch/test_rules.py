@@ -1,0 +1,161 @@
+"""``clgs.torch`` in programs that use more of PyTorch than a loss and a backward pass."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install clgs[torch]")
+
+import clgs.torch as ours  # noqa: E402
+from tests.render.splat_scene import scene  # noqa: E402
+
+TRAINED = ("means", "quats", "scales", "opacities", "colors", "viewmats", "backgrounds")
+
+
+def tensors(given):
+    return {n: torch.tensor(v) if isinstance(v, np.ndarray) else v for n, v in given.items()}
+
+
+def leaves(rng, *of_scene, **how):
+    """Arguments, those of TRAINED with a gradient."""
+    given = tensors(scene(rng, *of_scene, **how))
+    given["backgrounds"] = torch.rand(len(given["viewmats"]), 3)
+    for name in TRAINED:
+        given[name].requires_grad_()
+    return given
+
+
+def gradients(given, loss):
+    return torch.autograd.grad(loss, [given[name] for name in TRAINED], allow_unused=True)
+
+
+@pytest.fixture
+def float64_by_default():
+    torch.set_default_dtype(torch.float64)
+    yield
+    torch.set_default_dtype(torch.float32)
+
+
+@pytest.mark.usefixtures("float64_by_default")
+def test_any_default_dtype(rng):
+    given = tensors(scene(rng))
+    covars = torch.eye(3, dtype=torch.float32).mul(0.02).expand(40, 3, 3).clone().requires_grad_()
+    for render_mode in ("RGB", "D", "RGB+ED"):
+        image = ours.rasterization(
+            **{**given, "quats": None, "scales": None}, covars=covars, render_mode=render_mode
+        )[0]
+        image.sum().backward()
+        assert image.dtype == covars.grad.dtype == torch.float32
+    names = "means", "quats", "scales", "viewmats", "Ks"
+    means, *rest = (given[name] for name in names)
+    radii, means2d, depths, conics, _ = ours.fully_fused_projection(means, None, *rest, 33, 27)
+    _, ids, rows = ours.isect_tiles(means2d, radii, depths, 16, 3, 2)
+    colors, opacities = (torch.stack([given[name]] * 2) for name in ("colors", "opacities"))
+    lists = ours.isect_offset_encode(ids, 2, 3, 2), rows
+    splats = means2d, conics, colors, opacities
+    assert ours.rasterize_to_pixels(*splats, 33, 27, 16, *lists)[0].dtype == torch.float32
+    assert ours.rate(means, 4.0).dtype == torch.float32
+
+
+@pytest.mark.parametrize("count", [0, 40])
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("render_mode", ["RGB", "D", "RGB+ED"])
+def test_no_cameras(rng, count, packed, render_mode):
+    given = leaves(rng, count)
+    for name in ("viewmats", "Ks", "backgrounds"):
+        given[name] = given[name][:0]
+    image, alpha, meta = ours.rasterization(**given, packed=packed, render_mode=render_mode)
+    (image.sum() + alpha.sum()).backward()
+    assert image.shape[:3] == (0, 27, 33)
+    shape = (0,) if packed else (0, count)
+    assert meta["tiles_per_gauss"].shape == shape
+    assert dict(meta)["isect_offsets"].shape == (0, 2, 3)
+
+
+def test_absolute_gradients_of_packed_rows_of_several_pictures(rng):
+    given = tensors(scene(rng))
+    names = "means", "quats", "scales", "viewmats", "Ks"
+    means, *rest = (given[name] for name in names)
+    _, cameras, gaussians, radii, means2d, depths, conics, _ = ours.fully_fused_projection(
+        means, None, *rest, 33, 27, packed=True, opacities=given["opacities"]
+    )
+    _, ids, rows = ours.isect_tiles(
+        means2d, radii, depths, 16, 3, 2, packed=True, n_images=2, image_ids=cameras
+    )
+    lists = ours.isect_offset_encode(ids, 2, 3, 2), rows
+    splats = (
+        means2d.requires_grad_(),
+        conics,
+        *(given[n][gaussians] for n in ("colors", "opacities")),
+    )
+    image = ours.rasterize_to_pixels(*splats, 33, 27, 16, *lists, packed=True, absgrad=True)[0]
+    image.sum().backward()
+    info = ours.rasterization(**given | {"means": means.requires_grad_()}, absgrad=True)
+    info[2]["means2d"].retain_grad()
+    info[0].sum().backward()
+    assert torch.allclose(means2d.grad, info[2]["means2d"].grad, rtol=1e-4, atol=1e-5)
+    assert torch.allclose(means2d.absgrad, info[2]["means2d"].absgrad, rtol=1e-4, atol=1e-5)
+
+
+def test_results_may_be_changed_in_place(rng):
+    given = leaves(rng)
+    found = []
+    for change in (lambda one: one * 2, lambda one: one.mul_(2)):
+        image, alpha, _ = ours.rasterization(**given, render_mode="RGB+D")
+        loss = change(image).square().sum() + change(alpha).square().sum()
+        found.append(gradients(given, loss))
+    for one, other in zip(*found, strict=True):
+        assert torch.equal(one, other)
+
+
+@pytest.mark.parametrize("loss", [torch.sum, lambda image: image.square().sum()])
+def test_second_derivatives_are_refused(rng, loss):
+    given = leaves(rng)
+    image = ours.rasterization(**given)[0]
+    (slope,) = torch.autograd.grad(loss(image), given["means"], create_graph=True)
+    slope.mul_(2)  # first derivatives are as usual
+    with pytest.raises(NotImplementedError, match="second derivatives are not offered"):
+        (image.sum() + slope.square().sum()).backward()
+    x = torch.randn(9, 3, requires_grad=True)
+    for result in (ours.rate(x, 4.0), ours.spherical_harmonics(0, x, x[:, None]).sum()):
+        (slope,) = torch.autograd.grad(result, x, create_graph=True)
+        with pytest.raises(NotImplementedError, match="second derivatives are not offered"):
+            slope.sum().backward()
+
+
+def test_the_backward_pass_ignores_autocast(rng):
+    given = leaves(rng)
+    found = []
+    for enabled in (False, True):
+        with torch.autocast("cpu", torch.bfloat16, enabled=enabled):
+            image = ours.rasterization(**given)[0]
+            found.append(gradients(given, image.square().sum()))
+    for one, other in zip(*found, strict=True):
+        assert torch.equal(one, other)
+
+
+def test_a_negated_view_is_read_as_what_it_is(rng):
+    given = tensors(scene(rng))
+    wanted = ours.rasterization(**given)[0]
+    given["means"] = torch.complex(given["means"], -given["means"]).conj().imag
+    assert given["means"].is_neg()
+    assert torch.equal(ours.rasterization(**given)[0], wanted)
+
+
+@pytest.mark.parametrize("kind", [torch.Tensor.bfloat16, torch.Tensor.to_sparse])
+def test_what_numpy_cannot_read_is_named(rng, kind):
+    given = tensors(scene(rng))
+    with pytest.raises(TypeError, match=r"means: torch\.\w+, torch.* shape \(40, 3\)"):
+        ours.rasterization(**{**given, "means": kind(given["means"])})
+
+
+def test_transforms_of_functions_are_refused(rng):
+    given = tensors(scene(rng))
+
+    def draw(means):
+        return ours.rasterization(**{**given, "means": means})[0].sum()
+
+    for transform in (torch.func.grad(draw), lambda means: torch.func.vmap(draw)(means[None])):
+        with pytest.raises(TypeError, match=r"means: .* NumPy cannot read it"):
+            transform(given["means"])
