@@ -34,7 +34,7 @@ from clgs.torch.pixels import isect_tiles as isect_tiles
 from clgs.torch.pixels import rasterize_to_pixels as rasterize_to_pixels
 from clgs.torch.projection import SIGNATURE, checked_call, conics_of
 from clgs.torch.projection import fully_fused_projection as fully_fused_projection
-from clgs.torch.tensors import BlendCall, ViewsCall, host_of, tensor_rows
+from clgs.torch.tensors import BlendCall, ViewsCall, check_shapes, host_of, needed, tensor_rows
 
 STRATEGIES = ("DefaultStrategy", "MCMCStrategy", "Strategy")
 
@@ -65,10 +65,20 @@ def spherical_harmonics(
     Raises:
         ValueError, TypeError: an argument has another shape or dtype.
     """
-    shape = dirs.shape[:-1]
-    if dirs.shape != (*shape, 3) or coeffs.shape != (*shape, coeffs.shape[-2], 3):
-        raise ValueError(f"dirs, coeffs: shapes are {tuple(dirs.shape)}, {tuple(coeffs.shape)}")
-    flat = dirs.reshape(-1, 3), coeffs.reshape(-1, *coeffs.shape[-2:])
+    shape = needed("dirs", dirs).shape[:-1]
+    if isinstance(degrees_to_use, bool) or not isinstance(degrees_to_use, int):
+        raise TypeError(f"degrees_to_use: is {degrees_to_use!r}; give 0 to 4")
+    if not 0 <= degrees_to_use <= 4:
+        raise ValueError(f"degrees_to_use: is {degrees_to_use}, not 0 to 4")
+    count = max((degrees_to_use + 1) ** 2, *needed("coeffs", coeffs).shape[-2:-1], 0)
+    check_shapes(
+        {
+            "dirs": (dirs, (*shape, 3), torch.float32),
+            "coeffs": (coeffs, (*shape, count, 3), torch.float32),
+            "masks": (masks, shape, torch.bool),
+        }
+    )
+    flat = dirs.reshape(-1, 3), coeffs.reshape(-1, count, 3)
     result: Tensor = Harmonics.apply(degrees_to_use, *flat)
     result = result.reshape(*shape, 3)
     return result if masks is None else torch.where(masks[..., None], result, 0.0)

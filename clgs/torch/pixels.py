@@ -20,7 +20,7 @@ from clgs.options import DEFAULT
 from clgs.render.rasterization import ALPHA_MAX, default_device
 from clgs.render.splat_options import check_size, check_tile_size
 from clgs.torch.functions import Blend
-from clgs.torch.tensors import BlendCall, checked, host_of
+from clgs.torch.tensors import BlendCall, check_shapes, host_of, needed
 
 
 @torch.no_grad()  # type: ignore[untyped-decorator]  # torch is Any
@@ -63,9 +63,16 @@ def isect_tiles(
     """
     if packed and (n_images is None or image_ids is None):
         raise ValueError("n_images, image_ids: packed rows need both")
-    if radii.shape != means2d.shape or depths.shape != means2d.shape[:-1]:
-        shapes = tuple(tuple(one.shape) for one in (means2d, radii, depths))
-        raise ValueError(f"means2d, radii, depths: shapes are {shapes}")
+    if min(tile_size, tile_width, tile_height) <= 0:
+        sizes = tile_size, tile_width, tile_height
+        raise ValueError(f"tile_size, tile_width, tile_height: {sizes} are not above 0")
+    rows = needed("depths", depths).shape
+    boxes = {"means2d": needed("means2d", means2d), "radii": needed("radii", radii)}
+    check_shapes({name: (one, (*rows, 2), None) for name, one in boxes.items()})
+    check_shapes({"image_ids": (image_ids, rows, None)})
+    given = image_ids if packed and image_ids is not None else torch.zeros(0)
+    if torch.any((given < 0) | (given >= (n_images or 0))):
+        raise ValueError(f"image_ids: {tuple(rows)} has others than 0 to {n_images} - 1")
     centre, radius = means2d.reshape(-1, 2) / tile_size, radii.reshape(-1, 2) / tile_size
     end = torch.tensor([tile_width, tile_height])
     first = torch.floor(centre - radius).clamp(min=0).minimum(end).long()
@@ -93,6 +100,7 @@ def isect_offset_encode(
 
     ``isect_ids``: (I,) int64, sorted, of :func:`isect_tiles`.
     """
+    check_shapes({"isect_ids": (isect_ids, (len(needed("isect_ids", isect_ids)),), torch.int64)})
     tiles = tile_width * tile_height
     wanted = torch.arange(n_images)[:, None] << tiles.bit_length() | torch.arange(tiles)
     found = torch.searchsorted(isect_ids >> 32, wanted.reshape(-1))
@@ -144,23 +152,28 @@ def rasterize_to_pixels(
     check_tile_size(tile_size)
     size = image_width, image_height
     check_size(*size)
+    required = {
+        "means2d": means2d, "conics": conics, "colors": colors, "opacities": opacities,
+        "isect_offsets": isect_offsets, "flatten_ids": flatten_ids,
+    }  # fmt: skip
+    for name, tensor in required.items():
+        if not needed(name, tensor).ndim:
+            raise ValueError(f"{name}: shape is ()")
     images = tuple(isect_offsets.shape[:-2])
     channels = colors.shape[-1]
     rows = tuple(means2d.shape[:-1]) if packed else (*images, *means2d.shape[-2:-1])
     grid = (*images, tile_count(1, image_height), tile_count(image_width, 1))
     expected = {
-        "means2d": (means2d, (*rows, 2)),
-        "conics": (conics, (*rows, 3)),
-        "colors": (colors, (*rows, channels)),
-        "opacities": (opacities, rows),
-        "isect_offsets": (isect_offsets, grid),
-        "backgrounds": (backgrounds, (*images, channels)),
-        "masks": (masks, grid),
+        "means2d": (means2d, (*rows, 2), None),
+        "conics": (conics, (*rows, 3), None),
+        "colors": (colors, (*rows, channels), None),
+        "opacities": (opacities, rows, None),
+        "isect_offsets": (isect_offsets, grid, torch.int32),
+        "flatten_ids": (flatten_ids, (len(flatten_ids),), torch.int32),
+        "backgrounds": (backgrounds, (*images, channels), torch.float32),
+        "masks": (masks, grid, torch.bool),
     }
-    for name, (tensor, shape) in expected.items():
-        checked(name, tensor)
-        if tensor is not None and tensor.shape != shape:
-            raise ValueError(f"{name}: shape is {tuple(tensor.shape)}, expected {shape}")
+    check_shapes(expected)
     count, pictures = rows[-1], math.prod(images)
     drawn, whitening = _whitening(conics)
     floats = means2d, whitening, torch.where(drawn, opacities, 0.0), colors

@@ -15,7 +15,7 @@ from clgs.render.rasterization import rasterization as rasterization_of_numpy
 from clgs.render.splat_arguments import check_arguments
 from clgs.render.splat_options import checked_lens
 from clgs.torch.functions import Project
-from clgs.torch.tensors import ViewsCall, checked, tensor_rows
+from clgs.torch.tensors import ViewsCall, check_shapes, checked, needed, tensor_rows
 
 SIGNATURE = signature(rasterization_of_numpy)
 REACH = 3.33
@@ -108,9 +108,11 @@ def fully_fused_projection(  # noqa: PLR0913  gsplat's arguments
         NotImplementedError: an argument asks for what is not offered; names it.
         TypeError, ValueError: an argument cannot be used; names it and its shape.
     """
+    batch = needed("means", means).shape[:-1]
     if covars is not None:
+        check_shapes({"covars": (needed("covars", covars), (*batch, 6), torch.float32)})
         covars = covars[..., [0, 1, 2, 1, 3, 4, 2, 4, 5]].unflatten(-1, (3, 3))
-    shown = means.new_ones(means.shape[:-1]) if opacities is None else opacities
+    shown = means.new_ones(batch) if opacities is None else needed("opacities", opacities)
     bound = SIGNATURE.bind(
         means, quats, scales, shown, shown[..., None], viewmats, Ks, width, height,
         near_plane, far_plane, radius_clip, eps2d, packed=packed, sparse_grad=sparse_grad,

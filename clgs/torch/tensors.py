@@ -98,6 +98,28 @@ def checked(name: str, tensor: Any) -> npt.NDArray[Any] | None:
         raise TypeError(f"{name}: {what}: NumPy cannot read it: {error}") from None
 
 
+def needed(name: str, tensor: Any) -> Tensor:
+    """The tensor; TypeError or ValueError if it is none of the CPU's."""
+    if checked(name, tensor) is None:
+        raise TypeError(f"{name}: is None; give a tensor")
+    found: Tensor = tensor
+    return found
+
+
+def check_shapes(
+    expected: dict[str, tuple[Tensor | None, tuple[int, ...], torch.dtype | None]],
+) -> None:
+    """TypeError or ValueError unless tensors, by name, have their shapes and dtypes, if any."""
+    for name, (tensor, shape, dtype) in expected.items():
+        checked(name, tensor)
+        if tensor is None:
+            continue
+        if tensor.shape != shape:
+            raise ValueError(f"{name}: shape is {tuple(tensor.shape)}, expected {shape}")
+        if dtype is not None and tensor.dtype != dtype:
+            raise TypeError(f"{name}: dtype is {tensor.dtype}, expected {dtype}")
+
+
 def host_of(tensor: Tensor) -> npt.NDArray[Any]:
     """The tensor's memory as a contiguous array."""
     return np.ascontiguousarray(tensor.detach().resolve_neg().numpy())

@@ -159,3 +159,72 @@ def test_transforms_of_functions_are_refused(rng):
     for transform in (torch.func.grad(draw), lambda means: torch.func.vmap(draw)(means[None])):
         with pytest.raises(TypeError, match=r"means: .* NumPy cannot read it"):
             transform(given["means"])
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "match"),
+    [
+        ({"dirs": [[0.0, 0.0, 1.0]]}, TypeError, "dirs: is list; give a tensor"),
+        ({"coeffs": None}, TypeError, "coeffs: is None; give a tensor"),
+        ({"coeffs": torch.zeros(3)}, ValueError, r"coeffs: shape is \(3,\), expected \(5, 4, 3\)"),
+        ({"coeffs": torch.zeros(5, 1, 3)}, ValueError, r"coeffs: .* expected \(5, 4, 3\)"),
+        ({"dirs": torch.zeros(5, 3).double()}, TypeError, "dirs: dtype is torch.float64"),
+        ({"degrees_to_use": 1.0}, TypeError, r"degrees_to_use: is 1\.0; give 0 to 4"),
+        ({"degrees_to_use": 5}, ValueError, "degrees_to_use: is 5, not 0 to 4"),
+        ({"masks": torch.ones(5)}, TypeError, "masks: dtype is torch.float32, expected torch.bool"),
+        ({"masks": torch.ones(2, 5).bool()}, ValueError, r"masks: shape is \(2, 5\)"),
+    ],
+)
+def test_harmonics_that_are_refused(changes, error, match):
+    given = {"degrees_to_use": 1, "dirs": torch.zeros(5, 3), "coeffs": torch.zeros(5, 4, 3)}
+    with pytest.raises(error, match=match):
+        ours.spherical_harmonics(**{**given, **changes})
+
+
+def test_projections_that_are_refused(rng):
+    given = tensors(scene(rng))
+    means, *rest = (given[name] for name in ("means", "quats", "scales", "viewmats", "Ks"))
+    for covars in (torch.zeros(40, 7), torch.eye(3).expand(40, 3, 3)):
+        with pytest.raises(ValueError, match=r"covars: shape is .*, expected \(40, 6\)"):
+            ours.fully_fused_projection(means, covars, None, None, *rest[2:], 33, 27)
+    with pytest.raises(TypeError, match="means: is list; give a tensor"):
+        ours.fully_fused_projection(means.tolist(), None, *rest, 33, 27)
+
+
+def test_lists_and_pixels_that_are_refused():
+    boxes = torch.zeros(2, 4, 2), torch.ones(2, 4, 2).int(), torch.ones(2, 4)
+    with pytest.raises(ValueError, match=r"tile_size, .*: \(0, 3, 2\) are not above 0"):
+        ours.isect_tiles(*boxes, 0, 3, 2)
+    with pytest.raises(TypeError, match="means2d: is list; give a tensor"):
+        ours.isect_tiles(boxes[0].tolist(), *boxes[1:], 16, 3, 2)
+    packed = *(one.flatten(0, 1) for one in boxes), 16, 3, 2
+    for ids, match in (
+        (torch.zeros(3), r"shape is \(3,\)"),
+        (torch.arange(8), r"others than 0 to 2 - 1"),
+    ):
+        with pytest.raises(ValueError, match="image_ids: .*" + match):
+            ours.isect_tiles(*packed, packed=True, n_images=2, image_ids=ids)
+    _, ids, rows = ours.isect_tiles(*boxes, 16, 3, 2)
+    with pytest.raises(TypeError, match=r"isect_ids: dtype is torch\.int32, expected"):
+        ours.isect_offset_encode(ids.int(), 2, 3, 2)
+    given = {
+        "means2d": boxes[0], "conics": torch.ones(2, 4, 3), "colors": torch.ones(2, 4, 3),
+        "opacities": torch.ones(2, 4), "image_width": 33, "image_height": 27, "tile_size": 16,
+        "isect_offsets": ours.isect_offset_encode(ids, 2, 3, 2), "flatten_ids": rows,
+    }  # fmt: skip
+    ours.rasterize_to_pixels(**given)
+    for name, value, error, match in (
+        ("conics", None, TypeError, "is None; give a tensor"),
+        ("colors", [1.0], TypeError, "is list; give a tensor"),
+        ("flatten_ids", rows[None], ValueError, "shape is"),
+        ("flatten_ids", rows.float(), TypeError, "dtype is torch.float32, expected torch.int32"),
+        (
+            "masks",
+            torch.ones(2, 2, 3).int(),
+            TypeError,
+            "dtype is torch.int32, expected torch.bool",
+        ),
+        ("backgrounds", torch.ones(2, 3).double(), TypeError, "dtype is torch.float64"),
+    ):
+        with pytest.raises(error, match=f"{name}: {match}"):
+            ours.rasterize_to_pixels(**{**given, name: value})
