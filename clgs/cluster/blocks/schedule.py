@@ -24,8 +24,8 @@ narrower ones the MLPs learn too little for blocks, in which they rest.
 """
 
 JOINT_SHARE = 0.8
-"""The merged scene learns as a whole from this share of the steps before the switch to integers on:
-what anchors that do not earn their bytes showed is learned by others between rounds.
+"""The merged scene learns as a whole from this share of the steps before the switch to integers on,
+so that it repairs between rounds what each of them leaves out.
 """
 
 LEAST_STEPS = 10
