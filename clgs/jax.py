@@ -67,7 +67,7 @@ def rasterization(
     bound.apply_defaults()
     checked_lens(bound.arguments)
     settings = {name: bound.arguments[name] for name in ("sh_degree", "render_mode")}
-    check_arguments(**hosts, **settings)
+    check_arguments(**hosts, **settings).check_values()
     static = (("width", width), ("height", height), *sorted(others.items()))
     given = {name: array for name, array in arrays.items() if array is not None}
     result: tuple[jax.Array, jax.Array] = _draw(static, given)

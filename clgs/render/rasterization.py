@@ -141,6 +141,7 @@ def rasterization(  # noqa: PLR0913  gsplat's arguments
     lent = {name: array for name, array in found.items() if array is not None}
     arrays |= {name: on.hand_over(array) for name, array in lent.items()}
     given = check_arguments(**arrays, sh_degree=sh_degree, render_mode=render_mode)
+    given.check_values()
     record = Record(on, given, lens, sh_degree, render_mode, absgrad, (width, height), lent, [])
     for batch, number in product(*map(range, given.viewmats.shape[:2])):
         record.views.append(_draw(record, batch, number, alpha_max, options))

@@ -44,6 +44,29 @@ class SplatArguments:
     shared_colors: bool
     channels: int
 
+    def check_values(self) -> None:
+        """Check the numbers of the Gaussians, which takes longer than all else.
+
+        Raises:
+            ValueError: a number cannot be used; names argument and shape.
+        """
+        colors = self.colors[:, 0] if self.shared_colors else self.colors
+        _check_finite("means", self.means, self.batch)
+        _check_finite("opacities", self.opacities, self.batch)
+        _check_finite("colors", colors, self.batch)
+        if self.scales is not None:
+            _check_finite("scales", self.scales, self.batch)
+        opacities, quats = self.opacities, self.quats
+        if opacities.size and not (opacities.min() >= 0 and opacities.max() <= UNIT_OPACITY):
+            shape = *self.batch, *opacities.shape[1:]
+            raise ValueError(f"opacities: {shape} has numbers outside of 0 to 1")
+        if quats is not None:
+            _check_finite("quats", quats, self.batch)
+            short = quats[np.abs(quats[..., 0]) < 1e-6]  # the others have a length
+            if not np.einsum("nk,nk->n", short, short).all():
+                shape = *self.batch, *quats.shape[1:]
+                raise ValueError(f"quats: {shape} has a quaternion of length 0, no rotation")
+
 
 def check_arguments(
     means: Any,
@@ -60,6 +83,8 @@ def check_arguments(
 ) -> SplatArguments:
     """Check all arrays, those of the device as the host sees them, against each other.
 
+    The numbers of the Gaussians are left to :meth:`SplatArguments.check_values`.
+
     Raises:
         NotImplementedError: ``render_mode`` is one that only gsplat 1.6 has.
         TypeError: an argument is no array, or of another dtype.
@@ -72,20 +97,18 @@ def check_arguments(
     n, c = means.shape[-2], viewmats.shape[-3] if _matrix_like(viewmats) else 0
     means = _fit("means", means, batch, (n, 3))
     opacities = _fit("opacities", opacities, batch, (n,))
-    if opacities.size and not (opacities.min() >= 0 and opacities.max() <= UNIT_OPACITY):
-        raise ValueError(f"opacities: {opacities.shape} has numbers outside of 0 to 1")
     if covars is None:
         quats = _fit("quats", quats, batch, (n, 4))
         scales = _fit("scales", scales, batch, (n, 3))
-        short = quats[np.abs(quats[..., 0]) < 1e-6]  # the others have a length
-        if not np.einsum("nk,nk->n", short, short).all():
-            raise ValueError(f"quats: {quats.shape} has a quaternion of length 0, no rotation")
     else:
         quats = scales = None
         covars = _fit("covars", covars, batch, (n, 3, 3))
+        _check_finite("covars", covars, batch)  # its lower triangle, too, which is not kept
         covars = np.ascontiguousarray(covars[..., [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]])
     viewmats = _fit("viewmats", viewmats, batch, (c, 4, 4), np.float64)
+    _check_finite("viewmats", viewmats, batch)
     Ks = _fit("Ks", Ks, batch, (c, 3, 3), np.float64)  # noqa: N806
+    _check_finite("Ks", Ks, batch)
     _check_cameras(viewmats, Ks)
     colors, shared = _fit_colors(colors, batch, n, c, sh_degree)
     shown = 3 if sh_degree is not None else colors.shape[-1]
@@ -94,7 +117,9 @@ def check_arguments(
     given = shown if "RGB" in render_mode else 0
     shade = np.zeros((math.prod(batch), c, given + (render_mode != "RGB")), np.float32)
     if backgrounds is not None:
-        shade[..., :given] = _fit("backgrounds", backgrounds, batch, (c, shown))[..., :given]
+        backgrounds = _fit("backgrounds", backgrounds, batch, (c, shown))
+        _check_finite("backgrounds", backgrounds, batch)
+        shade[..., :given] = backgrounds[..., :given]
     return SplatArguments(
         batch, means, quats, scales, covars, opacities, colors, viewmats, Ks, shade, shared, shown
     )  # fmt: skip
@@ -141,13 +166,16 @@ def _fit(
         raise ValueError(f"{name}: shape is {array.shape}, expected {(*batch, *shape)}")
     if array.dtype != np.float32 and (dtype == np.float32 or array.dtype.kind != "f"):
         raise TypeError(f"{name}: dtype is {array.dtype}, expected float32")
-    array = np.ascontiguousarray(array, dtype).reshape(math.prod(batch), *shape)
+    return np.ascontiguousarray(array, dtype).reshape(math.prod(batch), *shape)
+
+
+def _check_finite(name: str, array: npt.NDArray[Any], batch: tuple[int, ...]) -> None:
     with np.errstate(all="ignore"):  # the sum of squares may overflow: then every number is asked
         small = array.astype(np.float32, copy=False)  # on the device everything is
         finite = bool(np.isfinite(np.vdot(small, small)))
     if not (finite or np.isfinite(small).all()):
-        raise ValueError(f"{name}: {value.shape} has numbers that are not finite")
-    return array
+        shape = *batch, *array.shape[1:]
+        raise ValueError(f"{name}: {shape} has numbers that are not finite")
 
 
 def _fit_colors(

@@ -103,6 +103,11 @@ class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         sizes = given.viewmats.shape[0], given.viewmats.shape[1], given.means.shape[1]
         names = {"mean2d": 2, "whitening": 3, "depth": None, "opacity": None, "extent": 2}
         gather = gather_later(device, call.projected, names, sizes)
+        try:
+            given.check_values()  # while the device projects, which no number disturbs
+        except ValueError:
+            device.finish()  # it reads memory of the caller
+            raise
         if begin is not None:  # the device blends while the host goes on
             begin(call.projected)
         results = list(gather().values())
