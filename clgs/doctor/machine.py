@@ -33,6 +33,7 @@ LEAST_DISK = 1 << 30
 
 OPTIONAL = {
     "pycolmap": ("clgs prepare", "pip install pycolmap"),
+    "cv2": ("clgs prepare", "pip install opencv-python-headless"),
     "pillow_heif": ("HEIC photos", 'pip install "clgs[heif]"'),
     "imageio_ffmpeg": ("videos", 'pip install "clgs[video]"'),
 }

@@ -132,8 +132,9 @@ def digest_of(files: Iterable[Path], options: Any) -> str:
     stats = [(path.name, path.stat()) for path in files]
     listed = [(name, stat.st_size, stat.st_mtime_ns) for name, stat in stats]
     programs = [__version__]
-    with suppress(importlib.metadata.PackageNotFoundError):
-        programs.append(importlib.metadata.version("pycolmap"))
+    for name in ("pycolmap", "opencv-python-headless"):
+        with suppress(importlib.metadata.PackageNotFoundError):
+            programs.append(importlib.metadata.version(name))
     digest = hashlib.blake2b(json.dumps([listed, options, programs]).encode(), digest_size=8)
     for module in sorted(Path(__file__).parent.rglob("*.py")):  # of a version that is changed
         digest.update(module.read_bytes())

@@ -1,25 +1,33 @@
-"""SIFT features of photos, by pycolmap."""
+"""SIFT features of photos."""
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from clgs.data.images import read_image
+from clgs.poses.stages import sift
 from clgs.poses.workspace import THREADS, Workspace
 
 MAX_FEATURES = 8192
-"""The most features of a photo; COLMAP's default. pycolmap prefers large ones."""
+"""The most features of a photo, the largest ones; COLMAP's default."""
 
 QUICK_FEATURES = 4096
 
 FINEST_SIZE = 3200
-"""Larger photos are reduced to this longer side before the search, pixels; COLMAP's default."""
+"""Photos are searched at a resolution of this longer side at most, pixels; COLMAP's default."""
 
 DOUBLED_SIZE = 1600
 """Photos up to this size are searched at twice their resolution, too, as COLMAP does by default.
 
-Doubled images beyond FINEST_SIZE would take gigabytes of memory.
+Doubled images beyond FINEST_SIZE would take gigabytes of memory. OpenCV doubles every picture:
+larger photos are given to it at half their resolution, whose details are finer than the least scale
+of a feature.
 """
-
-PEAK_THRESHOLD = 0.004
-"""The least contrast of a feature; COLMAP's 0.0067 finds too few in small photos."""
 
 BATCH = 4 * THREADS
 """Photos between two reports of progress."""
@@ -47,45 +55,37 @@ def extract(workspace: Workspace, size: int, quick: bool) -> None:
             image_names=[name for name, own in cameras if own == camera],
             options=importing,
         )
-    options = pycolmap.FeatureExtractionOptions()
-    options.use_gpu = False
-    options.num_threads = THREADS
-    options.max_image_size = FINEST_SIZE
-    options.sift.max_num_features = QUICK_FEATURES if quick else MAX_FEATURES
-    options.sift.first_octave = -1 if size <= DOUBLED_SIZE else 0
-    options.sift.peak_threshold = PEAK_THRESHOLD
-    reader = pycolmap.ImageReaderOptions()
-    if workspace.masks is not None:
-        reader.mask_path = workspace.masks
+    cv2, limit = sift.opencv("features"), QUICK_FEATURES if quick else MAX_FEATURES
+    shrink = min(1.0 if size <= DOUBLED_SIZE else 0.5, FINEST_SIZE / 2 / size)
     kept = workspace.finished
     todo = [name for name in workspace.names if not _take_up(workspace, name)]
     total = len(workspace.names)
-    for start in range(0, len(todo), BATCH):
-        workspace.on_progress("features", total - len(todo) + start, total)
-        some = todo[start : start + BATCH]
-        workspace.call(
-            pycolmap.extract_features,
-            workspace.database,
-            workspace.images,
-            image_names=some,
-            reader_options=reader,
-            extraction_options=options,
-            device=pycolmap.Device.cpu,
-        )
-        if kept is not None:
-            with workspace.open() as database:
-                for name in some:
-                    number = database.read_image_with_name(name).image_id
-                    descriptors = database.read_descriptors(number).data
-                    kept.keep_features(name, database.read_keypoints(number), descriptors)
+
+    def search(name: str) -> sift.Found:
+        mask = None if workspace.masks is None else workspace.masks / f"{name}.png"
+        return _find(cv2, workspace.images / name, mask, shrink, limit)
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        for start in range(0, len(todo), BATCH):
+            workspace.on_progress("features", total - len(todo) + start, total)
+            some = todo[start : start + BATCH]
+            for name, found in zip(some, pool.map(search, some), strict=True):
+                _write(workspace, name, found)
+                if kept is not None:
+                    kept.keep_features(name, *found)
     workspace.on_progress("features", total, total)
 
 
 def _take_up(workspace: Workspace, name: str) -> bool:
     """Write the features of a photo into the database if an earlier process found them."""
     found = workspace.finished and workspace.finished.features(name)
-    if not found:
-        return False
+    if found:
+        _write(workspace, name, found)
+    return bool(found)
+
+
+def _write(workspace: Workspace, name: str, found: sift.Found) -> None:
+    """Write the features of a photo into the database."""
     keypoints, descriptors = found
     kind = workspace.pycolmap.FeatureExtractorType.SIFT
     with workspace.open() as database:
@@ -93,4 +93,18 @@ def _take_up(workspace: Workspace, name: str) -> bool:
         database.write_keypoints(number, keypoints)
         described = workspace.pycolmap.FeatureDescriptors(kind, descriptors)
         database.write_descriptors(number, described)
-    return True
+
+
+def _find(cv2: Any, photo: Path, mask: Path | None, shrink: float, limit: int) -> sift.Found:
+    """Find the ``limit`` largest features of a photo that is searched at ``shrink`` of its size."""
+    grey = Image.fromarray(read_image(photo).color).convert("L")
+    width, height = grey.size
+    size = max(1, round(width * shrink)), max(1, round(height * shrink))
+    used = None
+    if mask is not None:
+        shown = Image.open(mask).convert("L").resize(size, Image.Resampling.NEAREST)
+        used = np.asarray(shown)
+    searched = np.asarray(grey.resize(size, Image.Resampling.LANCZOS))
+    keypoints, descriptors = sift.find(cv2, searched, used, limit)
+    keypoints *= np.tile([width / size[0], height / size[1]], 3).astype(np.float32)
+    return keypoints, descriptors

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 from clgs.data.reduction import IGNORE, OBJECT
-from clgs.poses.stages.features import DOUBLED_SIZE, FINEST_SIZE
+from clgs.poses.stages.features import DOUBLED_SIZE, FINEST_SIZE, MAX_FEATURES, QUICK_FEATURES
 from clgs.poses.stages.matching import FIRST_FEATURES, MAX_FULL
 from clgs.poses.stages.pairs import MAX_EXHAUSTIVE
 from clgs.train.step.schedule import COARSE_STAGES
@@ -34,13 +34,11 @@ MOST_STEPS = 30_000
 LEAST_STEPS = 300
 """Fewer give nothing that is worth looking at."""
 
-PHOTO_SECONDS, PIXEL_SECONDS = 0.05, {True: 0.5e-6, False: 0.6e-6}
-"""Seconds of one core for the features of a photo, and per pixel that is searched; True: with
-`prepare --quick`."""
+PHOTO_SECONDS, PIXEL_SECONDS = 0.02, 0.22e-6
+"""Seconds of one core for the features of a photo, and per pixel that is searched."""
 
-FEATURES_PER_PIXEL, MOST_FEATURES = 2.7e-3, {True: 6000, False: 12_000}
-"""Features per pixel that is searched. One place may give several, so that a photo has more than
-`prepare` looks for."""
+FEATURES_PER_PIXEL = 2.6e-3
+"""Features per pixel that is searched."""
 
 PAIR_SECONDS, PRODUCT_SECONDS, GEOMETRY_SECONDS = 0.004, 3.2e-9, 0.02
 """Seconds of one core per pair of photos, for the cheap look; per product of a feature of one with
@@ -233,10 +231,10 @@ def poses_time(photos: Photos, cores: int, quick: bool) -> PosesTime:
     count, size, cores = photos.count, max(photos.width, photos.height), max(1, min(cores, 8))
     shrink = min(2.0 if size <= DOUBLED_SIZE else 1.0, FINEST_SIZE / size)
     pixels = photos.width * photos.height
-    found = min(FEATURES_PER_PIXEL * pixels * shrink**2, MOST_FEATURES[quick])
+    found = min(FEATURES_PER_PIXEL * pixels * shrink**2, QUICK_FEATURES if quick else MAX_FEATURES)
     used = found if count <= MAX_FULL else min(found, FIRST_FEATURES)
     pairs = count * (count - 1) / 2 if count <= MAX_EXHAUSTIVE else MOST_PAIRS * count
-    features = count * (PHOTO_SECONDS + PIXEL_SECONDS[quick] * pixels * shrink**2)
+    features = count * (PHOTO_SECONDS + PIXEL_SECONDS * pixels * shrink**2)
     mapping = MAPPING_SECONDS[quick] * used / FIRST_FEATURES + count / MAPPING_GROWTH
     written = WRITTEN_SECONDS * photos.at(SIZES[0])
     return PosesTime(
