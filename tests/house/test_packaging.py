@@ -95,6 +95,7 @@ def test_the_readme_lists_every_command():
 
 DISTRIBUTIONS = {
     "PIL": "pillow",
+    "cv2": "opencv-python-headless",
     "tomli_w": "tomli-w",
     "imageio_ffmpeg": "imageio-ffmpeg",
     "pillow_heif": "pillow-heif",
