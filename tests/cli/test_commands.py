@@ -218,13 +218,15 @@ def test_bench():
 
 
 @pytest.mark.slow
-def test_bench_accuracy(run, data, tmp_path):
+def test_bench_accuracy(run, data, tmp_path, monkeypatch):
+    monkeypatch.setenv("CLGS_CACHE", str(tmp_path))
+    monkeypatch.setattr("clgs.lab.bench.accuracy_points.CUTS", (255, 1024, 16384))
     figures, plot = tmp_path / "accuracy.json", tmp_path / "accuracy.svg"
     whole = load_scene(run / "scene.npz")
     save_scene(tmp_path / "few.npz", replace(whole, anchors=take(whole.anchors, slice(300))))
     scenes = ("--scenes", "tiny", "--scene", tmp_path / "few.npz", "--data", data)
     output = ("--sweeps", "alpha cut", "--repeats", 2, "-o", figures, "--plot", plot)
-    printed = succeed("bench", "accuracy", *scenes, *output, CLGS_CACHE=str(tmp_path))
+    printed = succeed("bench", "accuracy", *scenes, *output)
     assert "fast against parity" in printed
     scenes = json.loads(figures.read_text())["scenes"]
     assert len(scenes) == 2

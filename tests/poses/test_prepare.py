@@ -65,7 +65,7 @@ def test_room_is_reconstructed(tmp_path: Path, capsys: pytest.CaptureFixture[str
 def test_photos_are_written_at_the_width_that_is_asked_for(tmp_path: Path):
     """Poses and points stay; a lens and the pixels of a mask follow."""
     photos = tmp_path / "photos"
-    write_room_photos(photos, 7)
+    write_room_photos(photos, 5)
     (photos / "masks").mkdir()
     used = np.full((240, 320), 255, np.uint8)
     used[:80, :120] = 0
@@ -163,7 +163,7 @@ def test_bad_folders(tmp_path: Path):
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_bits(tmp_path: Path):
     photos = tmp_path / "photos"
-    write_room_photos(photos, 7)
+    write_room_photos(photos, 5)
     (photos / "3.png").rename(photos / "3 a.png")
     made = []
     for folder in (tmp_path / "first", tmp_path / "second"):

@@ -14,18 +14,27 @@ import pytest
 from PIL import Image
 
 from clgs.cli import main as cli
-from clgs.cli.shared_options import duration
 from clgs.errors import DataError
 from clgs.train.config import from_toml
 from clgs.train.run.run_folder import FolderLock
-from clgs.workflow.runs import stages
-from clgs.workflow.runs.plan import FRAMES, Photos, frames_within
+from clgs.workflow.runs import device_speed, stages
+from clgs.workflow.runs.plan import Photos
 from clgs.workflow.runs.record import RunRecord, find_input
 from clgs.workflow.runs.run import run
 from tests.small_scene import write_scene
 from tests.terminal import as_from_a_terminal
+from tests.workflow.test_run_time import once
 
 TRAINED = ("--lambda=0.03", "--max-anchors", "9000", "--set", "log_interval=7")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _quick():
+    """Training starts from few points, and the speed of its steps is measured once."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("clgs.data.points.HULL_POINTS", 4000)
+        patch.setattr(stages, "speed_on", once(device_speed.speed_on))
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -65,22 +74,6 @@ def test_plan_alone_writes_nothing(data, tmp_path, capsys):
     assert "8 of 40 x 40 pixels" in printed
     assert "30 steps on photos at most 40 wide" in printed
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.slow
-def test_plan_takes_as_many_frames_of_a_video_as_the_time_allows(tmp_path, capsys):
-    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
-    clip = tmp_path / "clip.mp4"
-    writer = imageio_ffmpeg.write_frames(str(clip), (96, 64), fps=10)
-    writer.send(None)
-    writer.send(bytes(96 * 64 * 3))
-    writer.close()
-    for allowed in ("1m", "2h"):
-        words = ["run", str(clip), "-o", str(tmp_path / "out"), "--plan", "--time", allowed]
-        assert cli.main(words) == 0
-        frames = frames_within(Photos(0, 96, 64), os.cpu_count() or 1, duration(allowed))
-        assert f"frames, {frames} of 96 x 64 pixels" in capsys.readouterr().out
-    assert frames == FRAMES[0]
 
 
 def test_everything_is_there(finished):

@@ -3,19 +3,52 @@
 from __future__ import annotations
 
 import json
+import os
 from contextlib import nullcontext
 from types import SimpleNamespace
 
 import pytest
 
 from clgs.cli import main as cli
-from clgs.workflow.runs.plan import LEAST_SHARE, Photos, StepSpeed
+from clgs.cli.shared_options import duration
+from clgs.workflow.runs import device_speed, stages
+from clgs.workflow.runs.plan import FRAMES, LEAST_SHARE, Photos, StepSpeed, frames_within
 from clgs.workflow.runs.run import _Planner
 from tests.small_scene import write_scene
 
 
+def once(function):
+    """``function``, but calls after the first return what that one did."""
+    found = []
+
+    def call(*arguments):
+        if not found:
+            found.append(function(*arguments))
+        return found[0]
+
+    return call
+
+
 @pytest.mark.slow
-def test_a_sketch_goes_on_from_its_poses_with_more_time(tmp_path, capsys):
+def test_plan_takes_as_many_frames_of_a_video_as_the_time_allows(tmp_path, monkeypatch, capsys):
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
+    clip = tmp_path / "clip.mp4"
+    writer = imageio_ffmpeg.write_frames(str(clip), (96, 64), fps=10)
+    writer.send(None)
+    writer.send(bytes(96 * 64 * 3))
+    writer.close()
+    monkeypatch.setattr(stages, "synthetic_speed", once(device_speed.synthetic_speed))
+    for allowed in ("1m", "2h"):
+        words = ["run", str(clip), "-o", str(tmp_path / "out"), "--plan", "--time", allowed]
+        assert cli.main(words) == 0
+        frames = frames_within(Photos(0, 96, 64), os.cpu_count() or 1, duration(allowed))
+        assert f"frames, {frames} of 96 x 64 pixels" in capsys.readouterr().out
+    assert frames == FRAMES[0]
+
+
+@pytest.mark.slow
+def test_a_sketch_goes_on_from_its_poses_with_more_time(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("clgs.data.points.HULL_POINTS", 4000)  # for speed
     data, out = write_scene(tmp_path / "data", train=6, test=2), tmp_path / "out"
     words = ["run", str(data), "-o", str(out), "--lambda=0.03", "--clip", "none"]
     assert cli.main([*words, "--steps", "30"]) == 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import signal
 from dataclasses import replace
 from pathlib import Path
@@ -35,10 +36,16 @@ def interrupt_at(step):
     return on_progress
 
 
+@pytest.fixture(scope="module")
+def short(dataset, open_device, tmp_path_factory):
+    """The folder of a whole run, and its results."""
+    folder = tmp_path_factory.mktemp("runs") / "short"
+    return folder, train_scene(dataset, folder, config(), device=open_device("cpu"))
+
+
 @pytest.mark.slow
-def test_interrupted_runs_end_alike(dataset, open_device, tmp_path):
-    device = open_device("cpu")
-    whole = train_scene(dataset, tmp_path / "whole", config(), device=device)
+def test_interrupted_runs_end_alike(dataset, open_device, short, tmp_path):
+    device, (_, whole) = open_device("cpu"), short
     for step in (60, 115):
         with pytest.raises(KeyboardInterrupt):
             train_scene(
@@ -64,10 +71,11 @@ def test_interrupted_runs_end_alike(dataset, open_device, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kept", [True, False])
-def test_a_finished_run_is_trained_on(dataset, open_device, tmp_path, kept):
+def test_a_finished_run_is_trained_on(dataset, open_device, short, tmp_path, kept):
     """It goes on from the checkpoint or the scene, with other settings, and after a break."""
     device, first, more = open_device("cpu"), tmp_path / "first", tmp_path / "more"
-    short = train_scene(dataset, first, config(), device=device)
+    folder, short = short
+    shutil.copytree(folder, first)
     if not kept:
         (first / "checkpoint" / f"step_{STEPS:08}.npz").unlink()
     before = {path: path.read_bytes() for path in first.rglob("*") if path.is_file()}
