@@ -72,16 +72,18 @@ def upload(device: Device, photos: Sequence[Bytes]) -> Descriptors:
         ValueError, TypeError: an array has another shape or dtype, too many descriptors, or one
             that is too long for its products to be exact.
     """
-    blocks, first, tile = [], [], 0
     for number, photo in enumerate(photos):
         _check(f"photos[{number}]", photo)
-        padded = np.zeros((_blocks(len(photo)) * BLOCK_ROWS, LENGTH), np.uint8)
+    blocks = [_blocks(len(photo)) for photo in photos]
+    step = BLOCK_ROWS // LANES
+    first = [step * sum(blocks[:number]) for number in range(len(photos))]
+    pairs = np.empty((step * sum(blocks), LENGTH // 2, LANES), np.uint16)  # of numbers
+    for photo, count, tile in zip(photos, blocks, first, strict=True):
+        padded = np.zeros((count * BLOCK_ROWS, LENGTH), np.uint8)
         padded[: len(photo)] = photo
-        blocks.append(padded.reshape(-1, LANES, LENGTH // 2, 2).transpose(0, 2, 1, 3))
-        first.append(tile)
-        tile += len(padded) // LANES
-    tiles = np.concatenate(blocks) if blocks else np.zeros((0, LENGTH // 2, LANES, 2), np.uint8)
-    uploaded = device.upload(np.ascontiguousarray(tiles))
+        rows = padded.view(np.uint16).reshape(-1, LANES, LENGTH // 2)
+        pairs[tile : tile + step * count] = rows.transpose(0, 2, 1)
+    uploaded = device.upload(pairs.view(np.uint8).reshape(*pairs.shape, 2))
     return Descriptors(uploaded, first, [len(photo) for photo in photos])
 
 

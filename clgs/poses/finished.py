@@ -53,6 +53,12 @@ class Finished:
             self.seconds()
         return path
 
+    def part(self, name: str) -> Finished:
+        """The pieces of work that goes on at the same time, counted by themselves."""
+        folder = self._folder / name
+        folder.mkdir(exist_ok=True)
+        return Finished(folder)
+
     def features(self, photo: str) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8]] | None:
         """Read keypoints (N, 6) and descriptors (N, 128) of a photo; None if they are not there."""
         path = self._features_path(photo)

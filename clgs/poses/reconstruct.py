@@ -33,12 +33,13 @@ from clgs.poses.input.known import (
     to_given_world,
 )
 from clgs.poses.judging.agreement import poses_of
-from clgs.poses.judging.evidence import MAX_CONTRADICTED, ModelChoice
+from clgs.poses.judging.evidence import MAX_CONTRADICTED, Evidence, ModelChoice
 from clgs.poses.judging.judge import judge, unconfirmed
 from clgs.poses.judging.verdict import Verdict, point_figures, verdict_of
 from clgs.poses.pycolmap_lazy import quiet_pycolmap
+from clgs.poses.stages.check import Check
 from clgs.poses.stages.features import extract
-from clgs.poses.stages.mapping import ask_all_mappers, look_again, map_half, map_photos
+from clgs.poses.stages.mapping import ask_all_mappers, look_again, map_photos
 from clgs.poses.stages.matching import match, match_in_full, read_evidence
 from clgs.poses.stages.more_points import STAGE, add_points
 from clgs.poses.stages.pairs import pairs_to_match
@@ -100,7 +101,7 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
         finished.begin(stage)
         on_stage([stage, done, total])
 
-    with quiet_pycolmap(_TASK) as pycolmap:
+    with quiet_pycolmap(_TASK) as pycolmap, Check() as check:
         own_names, cameras, size = _number_photos(work, known.photos if apart else ())
         masks = work / "numbered_masks" if (work / MASKS).is_dir() else None
         workspace = Workspace(
@@ -122,14 +123,13 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
             workspace, known=posed, positions=positions, finished=finished if kept else None
         )
         extract(workspace, size, quick)
-        workspace, choice, shortened = _match_and_map(workspace, known, quick, notes)
+        begin_check = None if quick else check.begin_early
+        workspace, choice, shortened = _match_and_map(workspace, known, begin_check, notes)
         choice = look_again(workspace, choice)
-        second = None if quick else map_half(workspace, choice)
+        second = None if quick else check.model(workspace, choice)
         if not quick and (doubtful := unconfirmed(choice, second)):
-            wider = ask_all_mappers(workspace, choice, doubtful)
-            if wider.kept.reconstruction is not choice.kept.reconstruction:
-                second = map_half(workspace, wider)
-            choice = wider
+            choice = ask_all_mappers(workspace, choice, doubtful)
+            second = check.model(workspace, choice)
         verdict = judge(choice, second, not quick, own_names)
         if verdict.registered < 2:
             raise DataError(
@@ -152,28 +152,37 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
 
 
 def _match_and_map(
-    workspace: Workspace, known: Known, quick: bool, notes: list[str]
+    workspace: Workspace,
+    known: Known,
+    begin_check: Callable[[Workspace, Evidence], None] | None,
+    notes: list[str],
 ) -> tuple[Workspace, ModelChoice, bool]:
     """Match the photos and find a model.
+
+    ``begin_check`` is called with all evidence before a model is looked for; None: in a hurry.
 
     Returns:
         The workspace without poses that are refuted, the model, and whether features were left out.
     """
-    cameras = set_lenses(workspace)
+    quick, cameras = begin_check is None, set_lenses(workspace)
     pairs = pairs_to_match(workspace)
     shortened = match(workspace, pairs)
-    if workspace.known and (why := contradiction(workspace, read_evidence(workspace))):
+    evidence = read_evidence(workspace)
+    if workspace.known and (why := contradiction(workspace, evidence)):
         notes.append(f"{known.source}: its poses are not used: {why}")
         put_back(workspace, cameras)
         workspace = replace(workspace, known={})
         more = sorted(set(pairs_to_match(workspace)).difference(pairs))
         shortened |= match(workspace, more)
-        pairs = sorted({*pairs, *more})
-    choice = map_photos(workspace, quick)
-    if shortened and not quick and choice.kept.explained.contradicted > MAX_CONTRADICTED:
+        pairs, evidence = sorted({*pairs, *more}), read_evidence(workspace)
+    while True:
+        if begin_check:
+            begin_check(workspace, evidence)
+        choice = map_photos(workspace, evidence, quick)
+        if quick or not shortened or choice.kept.explained.contradicted <= MAX_CONTRADICTED:
+            return workspace, choice, shortened
         match_in_full(workspace, pairs)  # what looks alike may differ in small features
-        choice, shortened = map_photos(workspace, quick), False
-    return workspace, choice, shortened
+        shortened, evidence = False, read_evidence(workspace)
 
 
 def _put_into_world(

@@ -45,7 +45,7 @@ def test_points_are_added_on_the_walls_of_a_room(tmp_path: Path, monkeypatch: py
         pycolmap.set_random_seed(0)
         extract(workspace, 320, quick=False)
         assert matching.match(workspace, pairs_to_match(workspace), LARGEST)
-        choice = map_photos(workspace, quick=True)
+        choice = map_photos(workspace, matching.read_evidence(workspace), quick=True)
         model = choice.kept.reconstruction
         before = {number: (point.xyz, point.track) for number, point in model.points3D.items()}
         poses = poses_of(model)

@@ -55,10 +55,14 @@ def poses_of(model: Any) -> Poses:
     images = sorted((model.image(n) for n in model.reg_image_ids()), key=lambda image: image.name)
     rotation = [image.cam_from_world().rotation.matrix() for image in images]
     centre = [image.projection_center() for image in images]
+    points = model.points3D
+    numbers = np.array(sorted(points), np.uint64)
+    places = np.reshape([points[number].xyz for number in numbers.tolist()], (-1, 3))
     depth = []
     for image in images:
-        seen = [model.point3D(p.point3D_id).xyz for p in image.points2D if p.has_point3D()]
-        away = np.linalg.norm(np.reshape(seen, (-1, 3)) - image.projection_center(), axis=1)
+        seen = [point.point3D_id for point in image.get_observation_points2D()]
+        found = places[np.searchsorted(numbers, np.array(seen, np.uint64))]
+        away = np.linalg.norm(found - image.projection_center(), axis=1)
         depth.append(float(np.median(away)) if seen else 1.0)
     arrays = np.reshape(rotation, (-1, 3, 3)), np.reshape(centre, (-1, 3)), np.array(depth)
     return Poses([image.name for image in images], *arrays)

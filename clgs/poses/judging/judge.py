@@ -153,7 +153,7 @@ def photo_figures(model: Any, poses: Poses, explained: Explained) -> dict[str, P
     found = {}
     for place, name in enumerate(poses.names):
         image = model.find_image_with_name(name)
-        seen = [(p.point3D_id, p.xy) for p in image.points2D if p.has_point3D()]
+        seen = [(p.point3D_id, p.xy) for p in image.get_observation_points2D()]
         points = [model.point3D(number) for number, _ in seen]
         length = error = 0.0
         if points:

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from clgs.errors import DataError
 from clgs.poses.input.known import map_known
 from clgs.poses.judging.evidence import (
     MAX_CONTRADICTED,
-    MIN_MATCHES,
     STRONG_PAIR,
     Evidence,
     MappedModel,
@@ -60,29 +57,23 @@ STRONG = "incremental, strongest pairs"
 STRONGEST_PAIRS = "strongest"
 """Folder of the last one's files."""
 
-HALF = 0.5
-"""Share of all tracks from which the second reconstruction is made."""
 
-OTHER_SEED = 1_000_003
-"""Added to the seed: the second reconstruction must not follow the first one's choices."""
-
-
-def map_photos(workspace: Workspace, quick: bool) -> ModelChoice:
+def map_photos(workspace: Workspace, evidence: Evidence, quick: bool) -> ModelChoice:
     """Find a model by one mapper, and by the others in turn if the first model leaves doubt.
 
     Poses that are given are refined first. The incremental mapper is the surer one; of more than
-    MANY photos the global one is faster. ``quick``: ask no second mapper.
+    MANY photos the global one is faster. ``evidence``: of the workspace; ``quick``: ask no second
+    mapper.
 
     Raises:
         DataError: no two photos could be related.
     """
     for made in (*MAPPERS, STRONGEST_PAIRS):  # from other matches
         shutil.rmtree(workspace.folder / made, ignore_errors=True)
-    mappers = _mappers(workspace)
-    evidence, found = read_evidence(workspace), dict[str, list[Any]]()
-    choice = None
-    for mapper in mappers[:1] if quick or not evidence.pairs else mappers:
-        found[mapper] = _map(mapper, workspace, _stage(found))
+    found, choice = dict[str, list[Any]](), None
+    asked = mappers(workspace)
+    for mapper in asked[:1] if quick or not evidence.pairs else asked:
+        found[mapper] = map_by(mapper, workspace, _stage(found))
         choice = _choose(workspace, found, evidence)
         if choice and not _incomplete(choice):
             break
@@ -100,7 +91,7 @@ def map_photos(workspace: Workspace, quick: bool) -> ModelChoice:
     raise DataError(f"no two photos could be related; {advice}")
 
 
-def _mappers(workspace: Workspace) -> list[str]:
+def mappers(workspace: Workspace) -> list[str]:
     """List the mappers that may be asked, in their order."""
     both = [INCREMENTAL, GLOBAL] if len(workspace.names) <= MANY else [GLOBAL, INCREMENTAL]
     return [GIVEN, *both] if workspace.known else both
@@ -115,12 +106,12 @@ def ask_all_mappers(
     photos' poses on.
     """
     found = dict(choice.found)
-    for mapper in [one for one in _mappers(workspace) if one not in found]:
+    for mapper in [one for one in mappers(workspace) if one not in found]:
         few = len(doubtful) <= MAX_DROPPED * len(workspace.names)
         if mapper == INCREMENTAL and few:
             found[mapper] = _place_again(workspace, choice, doubtful)
         else:
-            found[mapper] = _map(mapper, workspace, _stage(found))
+            found[mapper] = map_by(mapper, workspace, _stage(found))
     if found.keys() == choice.found.keys():
         return choice
     return _choose(workspace, found, choice.evidence) or choice
@@ -163,21 +154,21 @@ def _choose(
     If the best of all mappers contradicts links, a model of the strongest pairs alone may take its
     place; it is added to ``found``, the models of each mapper.
     """
-    candidates = _largest(found, evidence)
+    candidates = largest_models(found, evidence)
     if not candidates:
         return None
-    best = max(candidates, key=_explained).explained
-    if best.contradicted > MAX_CONTRADICTED and found.keys() >= set(_mappers(workspace)):
-        found[STRONG] = _map_strongest(workspace, evidence, "other poses")
-        candidates = _largest(found, evidence)
-    kept = max(candidates, key=_explained)
+    best = best_model(candidates).explained
+    if best.contradicted > MAX_CONTRADICTED and found.keys() >= set(mappers(workspace)):
+        found[STRONG] = map_strongest(workspace, evidence, "other poses")
+        candidates = largest_models(found, evidence)
+    kept = best_model(candidates)
     placed = set(_names(kept.reconstruction))
     others = [[name for name in _names(one) if name not in placed] for one in found[kept.mapper]]
     apart = sorted(filter(None, others), key=len, reverse=True)
     return ModelChoice(kept, candidates, evidence, apart, found)
 
 
-def _largest(found: Mapping[str, list[Any]], evidence: Evidence) -> list[MappedModel]:
+def largest_models(found: Mapping[str, list[Any]], evidence: Evidence) -> list[MappedModel]:
     """Pick the largest model of each mapper that made one, and count what it explains."""
     best = {
         name: max(models, key=lambda one: (one.num_reg_images(), one.num_points3D()))
@@ -187,8 +178,9 @@ def _largest(found: Mapping[str, list[Any]], evidence: Evidence) -> list[MappedM
     return [MappedModel(name, model, explain(model, evidence)) for name, model in best.items()]
 
 
-def _explained(model: MappedModel) -> int:
-    return model.explained.total
+def best_model(models: Sequence[MappedModel]) -> MappedModel:
+    """Choose the model that explains the most matches."""
+    return max(models, key=lambda one: one.explained.total)
 
 
 def _names(model: Any) -> list[str]:
@@ -217,69 +209,12 @@ def look_again(workspace: Workspace, choice: ModelChoice) -> ModelChoice:
     evidence = read_evidence(workspace)
     found = [model, *again]
     models = [MappedModel(choice.kept.mapper, one, explain(one, evidence)) for one in found]
-    return replace(choice, kept=max(models, key=_explained), evidence=evidence)
+    kept = best_model(models)
+    return choice if kept is models[0] else replace(choice, kept=kept, evidence=evidence)
 
 
-def map_half(workspace: Workspace, choice: ModelChoice) -> Any | None:
-    """Make a second reconstruction from half of the points, by the kept model's mapper.
-
-    What both reconstructions agree on can be trusted. A photo whose pose rests on little, or on
-    matches that contradict each other, comes to stand elsewhere. The half of a feature is drawn by
-    its point in the first reconstruction, so that a track is never split; matches without a point
-    are drawn one by one. The first reconstruction's poses play no part.
-
-    Returns:
-        pycolmap's reconstruction; None if there is none.
-    """
-    model, evidence = choice.kept.reconstruction, choice.evidence
-    seed = (workspace.seed + OTHER_SEED) % 2**31
-    half = replace(workspace, folder=workspace.folder / "check", seed=seed)
-    shutil.rmtree(half.folder, ignore_errors=True)  # of a model that was kept before
-    half.folder.mkdir()
-    rng = np.random.default_rng(seed)
-    drawn = {number: int(rng.random() < HALF) for number in sorted(model.point3D_ids())}
-    # Of every feature of an image 1 or 0, the half of its track; -1 without a track.
-    halves = {}
-    for number, keypoints in evidence.keypoints.items():
-        halves[number] = np.full(len(keypoints), -1, np.int8)
-        if model.exists_image(number):
-            for index, point in enumerate(model.image(number).points2D):
-                if point.has_point3D():
-                    halves[number][index] = drawn[point.point3D_id]
-    _write_half(workspace, half, halves, evidence)
-    part, mapper = read_evidence(half), choice.kept.mapper
-    found = {} if mapper == STRONG else {mapper: _map(mapper, half, "check")}
-    models = _largest(found, part)
-    if not models or models[0].explained.contradicted > MAX_CONTRADICTED:
-        found[STRONG] = _map_strongest(half, part, "check")
-        models = _largest(found, part)
-    return max(models, key=_explained).reconstruction if models else None
-
-
-def _write_half(
-    workspace: Workspace, half: Workspace, halves: Mapping[int, Any], evidence: Evidence
-) -> None:
-    """Write the database of ``half``: all features, and the matches whose track is in half 1."""
-    rng = np.random.default_rng(half.seed)
-    shutil.copyfile(workspace.database, half.database)
-    with workspace.open() as whole, half.open() as part:
-        part.clear_descriptors()
-        part.clear_matches()
-        part.clear_two_view_geometries()
-        for pair in evidence.pairs:
-            first = halves[pair.first][pair.matches[:, 0]]
-            second = halves[pair.second][pair.matches[:, 1]]
-            drawn = (rng.random(len(first)) < HALF).astype(np.int8)
-            side = np.where(first >= 0, first, np.where(second >= 0, second, drawn))
-            kept = pair.matches[side == 1]
-            if len(kept) >= MIN_MATCHES:
-                geometry = whole.read_two_view_geometry(pair.first, pair.second)
-                geometry.inlier_matches = kept
-                part.write_matches(pair.first, pair.second, kept)
-                part.write_two_view_geometry(pair.first, pair.second, geometry)
-
-
-def _map(mapper: str, workspace: Workspace, stage: str) -> list[Any]:
+def map_by(mapper: str, workspace: Workspace, stage: str) -> list[Any]:
+    """Make models by one of MAPPERS, unless that is finished."""
     return workspace.models(stage, lambda: MAPPERS[mapper](workspace, stage))
 
 
@@ -332,7 +267,7 @@ def _map_from_given(workspace: Workspace, stage: str) -> list[Any]:
 MAPPERS = {INCREMENTAL: _map_incrementally, GLOBAL: _map_globally, GIVEN: _map_from_given}
 
 
-def _map_strongest(workspace: Workspace, evidence: Evidence, stage: str) -> list[Any]:
+def map_strongest(workspace: Workspace, evidence: Evidence, stage: str) -> list[Any]:
     """Run the incremental mapper on the strongest pairs of every photo.
 
     Among repeated things weak pairs mislead: a photo joins another side of the scene before its
@@ -346,7 +281,7 @@ def _map_strongest(workspace: Workspace, evidence: Evidence, stage: str) -> list
         for pair in evidence.pairs:
             if (pair.first, pair.second) not in kept:
                 database.delete_two_view_geometry(pair.first, pair.second)
-    return _map(INCREMENTAL, strongest, stage)
+    return map_by(INCREMENTAL, strongest, stage)
 
 
 def _incremental_options(workspace: Workspace) -> Any:

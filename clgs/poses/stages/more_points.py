@@ -87,9 +87,11 @@ def _match(
         free, photos, rays = [], [], []
         for number in numbers:
             image = model.image(number)
-            rows = [k for k, point in enumerate(image.points2D) if not point.has_point3D()]
-            pixels = np.asarray(database.read_keypoints(number), np.float64)[rows, :2]
-            free.append(np.array(rows, np.uint32))
+            keypoints = np.asarray(database.read_keypoints(number), np.float64)
+            used = image.get_observation_point2D_idxs()
+            rows = np.setdiff1d(np.arange(len(keypoints), dtype=np.uint32), used)
+            pixels = keypoints[rows, :2]
+            free.append(rows)
             photos.append(database.read_descriptors(number).data[rows])
             rays.append(model.cameras[image.camera_id].cam_from_img(pixels))
         uploaded = upload(workspace.device, photos)

@@ -110,10 +110,8 @@ def similarity(descriptors: Sequence[Floats], seed: int) -> Floats:
     centres = _cluster(descriptors, seed)
     pooled = np.empty((len(descriptors), centres.size), np.float32)
     for row, some in zip(pooled, descriptors, strict=True):
-        sums = np.zeros_like(centres)
-        if len(some):
-            nearest = _nearest(some, centres)
-            np.add.at(sums, nearest, some - centres[nearest])
+        nearest = _nearest(some, centres)
+        sums = _sums(some - centres[nearest], nearest, len(centres))
         row[:] = _unit(_unit(sums).ravel())
     return np.asarray(pooled @ pooled.T)
 
@@ -131,11 +129,15 @@ def _cluster(descriptors: Sequence[Floats], seed: int) -> Floats:
     centres = sample[:CENTRES]
     for _ in range(ROUNDS):
         nearest = _nearest(sample, centres)
-        sums = np.zeros_like(centres)
-        np.add.at(sums, nearest, sample)
+        sums = _sums(sample, nearest, len(centres))
         size = np.bincount(nearest, minlength=len(centres))[:, None]
         centres = np.where(size > 0, sums / np.maximum(size, 1), centres).astype(np.float32)
     return centres
+
+
+def _sums(rows: Floats, group: npt.NDArray[np.int64], count: int) -> Floats:
+    """Sum the rows (M, 128) of each of ``count`` groups; a product is faster than np.add.at."""
+    return np.asarray((np.arange(count)[:, None] == group).astype(rows.dtype) @ rows)
 
 
 def _nearest(descriptor: Floats, centres: Floats) -> npt.NDArray[np.int64]:
