@@ -28,7 +28,7 @@ from clgs.opencl.choose import (
     wanted_form,
 )
 from clgs.opencl.kernel import Argument, Kernel
-from clgs.opencl.lost import tells_of_loss
+from clgs.opencl.lost import note_opened, tells_of_loss
 from clgs.opencl.programs import Programs, context_of
 from clgs.opencl.timing import KernelTimes, Profile, Waits
 from clgs.opencl.transfer import Download, PinnedMemory, Transfers
@@ -64,13 +64,13 @@ class Device:
                 ``device.cl_device.create_sub_devices``.
 
         Raises:
-            DeviceError: there is no such device, or it is too small.
+            DeviceError: there is no such device, it is too small, or it was opened before a fork.
             UsageError: CLGS_SPECIALISATION is neither "cpu" nor "gpu", CLGS_LANES neither 8 nor 16.
             TypeError: ``name`` is no string.
         """
         if name is not None:
             check_type("name", name, str, 'a number is one, too: clgs.Device("0")')
-        chosen = specialisation or wanted_form()
+        note_opened()
         self.cl_device = choose_device(name) if cl_device is None else cl_device
         if problem := too_small(self.cl_device):
             raise DeviceError(f"{self.name} cannot be used: {problem}; use another --device")
@@ -78,7 +78,7 @@ class Device:
         self.queue = cl.CommandQueue(self.context)
         is_cpu = bool(self.cl_device.type & cl.device_type.CPU)
         usual = serves_cpu_form(self.cl_device)
-        self.specialisation = chosen or form_of(self.cl_device)
+        self.specialisation = specialisation or wanted_form() or form_of(self.cl_device)
         self.vec = 16 if self.specialisation == "cpu" else 1
         width = int(self.cl_device.native_vector_width_float)
         self._register_lanes = _wanted_lanes() or min(max(width, 4), 16)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from functools import cache
 from itertools import product
+from threading import Lock
 
 import numpy as np
 import numpy.typing as npt
@@ -27,9 +28,17 @@ ALPHA_MAX = 0.999
 """Where alpha saturates, as in gsplat; training keeps ``clgs.constants.ALPHA_MAX``."""
 
 
-@cache
+_one_at_a_time = Lock()
+
+
 def default_device() -> Device:
     """The device of calls that name none: the one that ``clgs devices`` lists first."""
+    with _one_at_a_time:  # the first calls of several threads must not open several
+        return _open_device()
+
+
+@cache
+def _open_device() -> Device:
     return Device()
 
 

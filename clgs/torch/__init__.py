@@ -34,7 +34,15 @@ from clgs.torch.pixels import isect_tiles as isect_tiles
 from clgs.torch.pixels import rasterize_to_pixels as rasterize_to_pixels
 from clgs.torch.projection import SIGNATURE, checked_call, conics_of
 from clgs.torch.projection import fully_fused_projection as fully_fused_projection
-from clgs.torch.tensors import BlendCall, ViewsCall, check_shapes, host_of, needed, tensor_rows
+from clgs.torch.tensors import (
+    BlendCall,
+    ViewsCall,
+    check_shapes,
+    eager,
+    host_of,
+    needed,
+    tensor_rows,
+)
 
 STRATEGIES = ("DefaultStrategy", "MCMCStrategy", "Strategy")
 
@@ -48,6 +56,7 @@ def __getattr__(name: str) -> Any:
     return getattr(strategies, name)
 
 
+@eager
 def spherical_harmonics(
     degrees_to_use: int, dirs: Tensor, coeffs: Tensor, masks: Tensor | None = None
 ) -> Tensor:
@@ -84,6 +93,7 @@ def spherical_harmonics(
     return result if masks is None else torch.where(masks[..., None], result, 0.0)
 
 
+@eager
 @wraps(rasterization_of_numpy, assigned=())
 def rasterization(*arguments: Any, **others: Any) -> tuple[Tensor, Tensor, Meta]:
     """Draw Gaussians as cameras see them; arguments as of :func:`clgs.rasterization`, of tensors.

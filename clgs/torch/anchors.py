@@ -19,7 +19,7 @@ from clgs.render.rasterization import default_device
 from clgs.scene.anchors import Anchors
 from clgs.scene.camera import Camera
 from clgs.torch.functions import once
-from clgs.torch.tensors import checked, host_of
+from clgs.torch.tensors import checked, eager, host_of
 
 
 class DecodedAnchors(NamedTuple):
@@ -34,6 +34,7 @@ class DecodedAnchors(NamedTuple):
     offset_ids: Tensor
 
 
+@eager
 def decode_anchors(
     position: Tensor,
     offset: Tensor,
@@ -82,6 +83,7 @@ def decode_anchors(
     return DecodedAnchors(*found)
 
 
+@eager
 def quantize(x: Tensor, q: float | Tensor) -> Tensor:
     """rint(x q) / q, ties to even, with the gradient of x (straight-through estimator).
 
@@ -105,6 +107,7 @@ def quantize(x: Tensor, q: float | Tensor) -> Tensor:
     return result
 
 
+@eager
 def rate(x: Tensor, q: float, form: rate_op.Form = "channel") -> Tensor:
     """Bits per row that an ideal coder needs for rint(x q): the Laplace rate proxy of Voxel-GS.
 

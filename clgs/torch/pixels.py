@@ -20,9 +20,10 @@ from clgs.options import DEFAULT
 from clgs.render.rasterization import ALPHA_MAX, default_device
 from clgs.render.splat_options import check_size, check_tile_size
 from clgs.torch.functions import Blend
-from clgs.torch.tensors import BlendCall, check_shapes, host_of, needed
+from clgs.torch.tensors import BlendCall, check_shapes, eager, host_of, needed
 
 
+@eager
 @torch.no_grad()  # type: ignore[untyped-decorator]  # torch is Any
 def isect_tiles(
     means2d: Tensor,
@@ -92,6 +93,7 @@ def isect_tiles(
     return counts.int().reshape(depths.shape), ids, row.int()
 
 
+@eager
 @torch.no_grad()  # type: ignore[untyped-decorator]  # torch is Any
 def isect_offset_encode(
     isect_ids: Tensor, n_images: int, tile_width: int, tile_height: int
@@ -107,6 +109,7 @@ def isect_offset_encode(
     return found.int().reshape(n_images, tile_height, tile_width)
 
 
+@eager
 def rasterize_to_pixels(
     means2d: Tensor,
     conics: Tensor,

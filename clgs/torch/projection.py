@@ -15,7 +15,7 @@ from clgs.render.rasterization import rasterization as rasterization_of_numpy
 from clgs.render.splat_arguments import check_arguments
 from clgs.render.splat_options import checked_lens
 from clgs.torch.functions import Project
-from clgs.torch.tensors import ViewsCall, check_shapes, checked, needed, tensor_rows
+from clgs.torch.tensors import ViewsCall, check_shapes, checked, eager, needed, tensor_rows
 
 SIGNATURE = signature(rasterization_of_numpy)
 REACH = 3.33
@@ -58,6 +58,7 @@ def conics_of(whitening: Tensor) -> Tensor:
     return torch.stack([r1**2 + (lean * r2) ** 2, -lean * r2**2, r2**2], dim=-1)
 
 
+@eager
 def fully_fused_projection(  # noqa: PLR0913  gsplat's arguments
     means: Tensor,
     covars: Tensor | None,

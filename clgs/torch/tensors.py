@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,9 @@ from clgs.ops.tiles import TileLists
 from clgs.options import RenderOptions
 from clgs.render import channel_picture
 from clgs.render.splat_arguments import Floats, SplatArguments
+
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
 
 
 @dataclass
@@ -81,6 +84,12 @@ class BlendCall:
         lists = None if self.lists is None else self.lists[len(self.drawn)]
         how = self.with_depth, self.alpha_max, self.options, lists
         self.drawn.append(channel_picture.draw(self.device, colored, self.size, shade, *how))
+
+
+def eager(function: Callable[Given, Result]) -> Callable[Given, Result]:
+    """``function``, which torch.compile calls as it is, between two of its graphs."""
+    found: Callable[Given, Result] = torch._disable_dynamo(function)
+    return found
 
 
 def checked(name: str, tensor: Any) -> npt.NDArray[Any] | None:

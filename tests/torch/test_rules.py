@@ -135,6 +135,24 @@ def test_the_backward_pass_ignores_autocast(rng):
         assert torch.equal(one, other)
 
 
+@pytest.mark.slow
+def test_a_compiled_program_calls_it_as_it_is(rng):
+    if not torch._dynamo.is_dynamo_supported():
+        pytest.skip("torch.compile is not offered here")
+
+    def loss(given):
+        image, alphas, _ = ours.rasterization(**given)
+        levels = ours.spherical_harmonics(0, given["means"], given["colors"][:, None] - 0.5)
+        return (2 * image).sum() + alphas.square().mean() + levels.sum()
+
+    given = leaves(rng)
+    plain = loss(given)
+    compiled = torch.compile(loss, backend="eager")(given)
+    assert torch.equal(plain, compiled)
+    for one, other in zip(gradients(given, plain), gradients(given, compiled), strict=True):
+        assert torch.equal(one, other)
+
+
 def test_a_negated_view_is_read_as_what_it_is(rng):
     given = tensors(scene(rng))
     wanted = ours.rasterization(**given)[0]
