@@ -51,6 +51,9 @@ JPEG_QUALITY = 95
 LEAST_ROOM = 1 << 20
 """Bytes; a failure with less free space is blamed on the disk."""
 
+SECOND_THOUGHTS = 2
+"""Choices of a model after the first one, if doubt remains: by all mappers, then photo by photo."""
+
 COUNT_SECONDS = 0.5
 """Time between two counts of the undistorted photos."""
 
@@ -127,9 +130,12 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
         workspace, choice, shortened = _match_and_map(workspace, known, begin_check, notes)
         choice = look_again(workspace, choice)
         second = None if quick else check.model(workspace, choice)
+        for _ in range(0 if quick else SECOND_THOUGHTS):
+            if doubtful := unconfirmed(choice, second):
+                choice = ask_all_mappers(workspace, choice, doubtful)
+                second = check.model(workspace, choice)
         if not quick and (doubtful := unconfirmed(choice, second)):
-            choice = ask_all_mappers(workspace, choice, doubtful)
-            second = check.model(workspace, choice)
+            second = check.replace_doubtful(doubtful)
         verdict = judge(choice, second, not quick, own_names)
         if verdict.registered < 2:
             raise DataError(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,17 +13,18 @@ from hypothesis import strategies as st
 from clgs.opencl.device import Device
 from clgs.poses.finished import Finished
 from clgs.poses.judging.agreement import differences, poses_of
-from clgs.poses.judging.evidence import Evidence, MatchedPair
+from clgs.poses.judging.evidence import Evidence, MappedModel, MatchedPair, explain
 from clgs.poses.pycolmap_lazy import quiet_pycolmap
 from clgs.poses.stages import check, matching
 from clgs.poses.stages.features import extract
-from clgs.poses.stages.mapping import map_photos
+from clgs.poses.stages.mapping import map_photos, replace_doubtful
 from clgs.poses.stages.pairs import pairs_to_match
 from clgs.poses.workspace import Workspace
 from tests.data.folders import write_room_photos
 
 PHOTOS, FEATURES = 4, 5
-MOST_TURN = 0.5
+ROOM_PHOTOS = 8
+MOST_TURN, BENT = 0.5, 3.0
 """Degrees."""
 
 
@@ -78,49 +78,86 @@ def test_no_track_has_two_features_of_a_photo(pairs):
             assert one == other or photos[one] & photos[other]  # else they would be joined
 
 
-@pytest.mark.slow
-def test_begun_early_or_late_it_is_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+@pytest.fixture(scope="module")
+def reconstructed(tmp_path_factory):
+    """A workspace of ROOM_PHOTOS photos with matches, and the model that they give."""
     pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
-    monkeypatch.setattr(check, "THREADS", 2)
-    photos, progress = 8, list[tuple[str, int, int]]()
-    write_room_photos(tmp_path / "images", photos)
+    folder = tmp_path_factory.mktemp("room")
+    write_room_photos(folder / "images", ROOM_PHOTOS)
+    names = [f"{number}.png" for number in range(ROOM_PHOTOS)]
     with quiet_pycolmap("a test") as pycolmap:
         workspace = Workspace(
             pycolmap,
             Device(),
-            tmp_path / "images",
-            tmp_path,
-            [f"{number}.png" for number in range(photos)],
-            [0] * photos,
+            folder / "images",
+            folder,
+            names,
+            [0] * ROOM_PHOTOS,
             0,
-            lambda *step: progress.append(step),
+            lambda *step: None,
         )
         pycolmap.set_random_seed(0)
         extract(workspace, 320, quick=False)
         matching.match(workspace, pairs_to_match(workspace))
-        evidence = matching.read_evidence(workspace)
-        choice = map_photos(workspace, evidence, quick=False)
-        kept = Finished(tmp_path)
-        with check.Check() as late:
-            expected = late.model(workspace, choice)
-        progress.clear()
-        with check.Check() as early:
-            early.begin_early(workspace, replace(evidence, pairs=evidence.pairs[1:]))
-            early.begin_early(replace(workspace, finished=kept), evidence)
-            assert not progress
-            found = early.model(workspace, choice)
-            assert early.model(workspace, choice) is found
-        assert {stage for stage, _, _ in progress} == {check.STAGE}
-        with check.Check() as again:  # the piece is there: the second time it is only read
-            again.begin_early(workspace, evidence)
-            again.begin_early(replace(workspace, finished=kept), evidence)
-            read = again.model(workspace, choice)
-    first, second, third = poses_of(expected), poses_of(found), poses_of(read)
-    assert len(first.names) == photos
-    for one in (second, third):
+        choice = map_photos(workspace, matching.read_evidence(workspace), quick=False)
+        yield workspace, choice
+
+
+@pytest.mark.slow
+def test_begun_early_or_late_it_is_the_same(reconstructed, tmp_path, monkeypatch):
+    monkeypatch.setattr(check, "THREADS", 2)
+    plain, choice = reconstructed
+    progress, evidence = list[tuple[str, int, int]](), choice.evidence
+    workspace = replace(plain, on_progress=lambda *step: progress.append(step))
+    kept = replace(workspace, finished=Finished(tmp_path))
+    with check.Check() as late:
+        expected = late.model(workspace, choice)
+    progress.clear()
+    with check.Check() as early:
+        early.begin_early(workspace, replace(evidence, pairs=evidence.pairs[1:]))
+        early.begin_early(kept, evidence)
+        assert not progress
+        found = early.model(kept, choice)
+        assert early.model(kept, choice) is found
+    assert {stage for stage, _, _ in progress} == {check.STAGE}
+    with check.Check() as again:  # the piece is there: it is only read
+        again.begin_early(workspace, evidence)
+        again.begin_early(kept, evidence)
+        read = again.model(kept, choice)
+    first = poses_of(expected)
+    assert len(first.names) == ROOM_PHOTOS
+    for one in (poses_of(found), poses_of(read)):
         assert np.array_equal(first.rotation, one.rotation)
         assert np.array_equal(first.centre, one.centre)
     model = choice.kept.reconstruction
     assert expected.num_points3D() < model.num_points3D()
-    apart = differences(poses_of(model), first)
-    assert 0 < max(one.turn for one in apart.values()) < MOST_TURN
+    assert 0 < most_turn(model, expected) < MOST_TURN
+
+
+@pytest.mark.slow
+def test_a_photo_that_was_bent_is_placed_again(reconstructed, tmp_path):
+    workspace, choice = reconstructed
+    model, pycolmap = choice.kept.reconstruction, workspace.pycolmap
+    model.write(tmp_path)
+    bent, name = pycolmap.Reconstruction(tmp_path), workspace.names[3]
+    frame = bent.find_image_with_name(name).frame
+    half = np.radians(BENT) / 2
+    turn = pycolmap.Rigid3d(pycolmap.Rotation3d([0, np.sin(half), 0, np.cos(half)]), np.zeros(3))
+    frame.rig_from_world = turn * frame.rig_from_world
+    assert most_turn(model, bent) == pytest.approx(BENT, abs=0.1)
+    wrong = MappedModel(choice.kept.mapper, bent, explain(bent, choice.evidence))
+    doubt = replace(choice, kept=wrong, candidates=[wrong])
+    found = replace_doubtful(workspace, doubt, [name], "other poses")
+    assert most_turn(model, found.kept.reconstruction) < MOST_TURN
+    assert found.candidates == [found.kept]
+    # What would explain fewer matches is not taken, and of many doubtful photos none is moved.
+    assert replace_doubtful(workspace, doubt, workspace.names[:3], "other poses") is doubt
+    again = replace_doubtful(workspace, choice, [name], "other poses").kept
+    assert again.explained.total >= choice.kept.explained.total
+
+
+def most_turn(one, other) -> float:
+    """The largest angle between two models' rotations of a photo, degrees."""
+    apart = differences(poses_of(one), poses_of(other))
+    assert len(apart) == ROOM_PHOTOS
+    return max(difference.turn for difference in apart.values())

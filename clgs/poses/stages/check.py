@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from threading import Event
@@ -25,6 +26,7 @@ from clgs.poses.stages.mapping import (
     map_by,
     map_strongest,
     mappers,
+    replace_doubtful,
 )
 from clgs.poses.stages.matching import read_evidence
 from clgs.poses.workspace import THREADS, Workspace
@@ -56,7 +58,7 @@ class Check:
         self._begun, self._cancelled, self._awaited = 0, Event(), Event()
         self._evidence: Evidence | None = None
         self._mapper = ""
-        self._model: Future[Any] = Future()
+        self._made: Future[tuple[Workspace, ModelChoice | None]] = Future()
 
     def __enter__(self) -> Check:
         """Do nothing: the check is a context, so that no thread is left behind."""
@@ -81,7 +83,18 @@ class Check:
             self._begin(workspace, choice.evidence, choice.kept.mapper)
         self._awaited.set()
         workspace.on_progress(STAGE, 0, 0)
-        return self._model.result()
+        made = self._made.result()[1]
+        return made and made.kept.reconstruction
+
+    def replace_doubtful(self, doubtful: Sequence[str]) -> Any | None:
+        """Place photos again in the last :meth:`model`, by its own half of the points alone."""
+        half, made = self._made.result()
+        if made is None:
+            return None
+        made = replace_doubtful(half, made, doubtful, STAGE)
+        self._made = Future()
+        self._made.set_result((half, made))
+        return made.kept.reconstruction
 
     def _begin(self, workspace: Workspace, evidence: Evidence, mapper: str) -> None:
         self._cancelled.set()
@@ -103,11 +116,13 @@ class Check:
             on_progress=on_progress,
             finished=kept,
         )
-        self._model = self._pool.submit(_map_half, workspace, half, evidence, mapper)
+        self._made = self._pool.submit(_map_half, workspace, half, evidence, mapper)
 
 
-def _map_half(whole: Workspace, half: Workspace, evidence: Evidence, mapper: str) -> Any | None:
-    """Make a reconstruction from half of the tracks of ``whole``; returns None if there is none."""
+def _map_half(
+    whole: Workspace, half: Workspace, evidence: Evidence, mapper: str
+) -> tuple[Workspace, ModelChoice | None]:
+    """Make a model from half of the tracks of ``whole``; returns ``half``, and None without one."""
     shutil.rmtree(half.folder, ignore_errors=True)  # of what was given up
     half.folder.mkdir()
     half.pycolmap.set_random_seed(half.seed)  # each thread has its own
@@ -118,7 +133,7 @@ def _map_half(whole: Workspace, half: Workspace, evidence: Evidence, mapper: str
     if not models or models[0].explained.contradicted > MAX_CONTRADICTED:
         found[STRONG] = map_strongest(half, part, STAGE)
         models = largest_models(found, part)
-    return best_model(models).reconstruction if models else None
+    return half, ModelChoice(best_model(models), models, part, []) if models else None
 
 
 def _write_half(whole: Workspace, half: Workspace, evidence: Evidence) -> None:

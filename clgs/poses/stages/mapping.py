@@ -100,35 +100,57 @@ def mappers(workspace: Workspace) -> list[str]:
 def ask_all_mappers(
     workspace: Workspace, choice: ModelChoice, doubtful: Collection[str]
 ) -> ModelChoice:
-    """Choose once more, with models of the mappers that were not asked yet, if there are any.
+    """Choose once more, with models of the mappers that were not asked yet.
 
-    A few ``doubtful`` photos of many are placed again by the incremental mapper, from the other
-    photos' poses on.
+    In place of the incremental mapper's own model, a few ``doubtful`` photos of many are placed
+    again. If all mappers were asked, that is tried as well.
     """
     found = dict(choice.found)
-    for mapper in [one for one in mappers(workspace) if one not in found]:
-        few = len(doubtful) <= MAX_DROPPED * len(workspace.names)
-        if mapper == INCREMENTAL and few:
-            found[mapper] = _place_again(workspace, choice, doubtful)
+    asked = [one for one in mappers(workspace) if one not in found]
+    for mapper in asked:
+        if mapper == INCREMENTAL and _are_few(doubtful, workspace):
+            found[mapper] = _place_again(workspace, choice, doubtful, "other poses")
         else:
             found[mapper] = map_by(mapper, workspace, _stage(found))
-    if found.keys() == choice.found.keys():
+    if asked:
+        return _choose(workspace, found, choice.evidence) or choice
+    return replace_doubtful(workspace, choice, doubtful, "other poses")
+
+
+def replace_doubtful(
+    workspace: Workspace, choice: ModelChoice, doubtful: Collection[str], stage: str
+) -> ModelChoice:
+    """Place a few doubtful photos again, if the model explains more matches then."""
+    if not _are_few(doubtful, workspace):
         return choice
-    return _choose(workspace, found, choice.evidence) or choice
+    again = [
+        MappedModel(choice.kept.mapper, one, explain(one, choice.evidence))
+        for one in _place_again(workspace, choice, doubtful, stage)
+    ]
+    kept = best_model([choice.kept, *again])
+    others = [one for one in choice.candidates if one is not choice.kept]
+    return replace(choice, kept=kept, candidates=[kept, *others])
 
 
-def _place_again(workspace: Workspace, choice: ModelChoice, doubtful: Collection[str]) -> list[Any]:
-    """Take photos out of the kept model, and have the incremental mapper place them again."""
-    start = workspace.folder / "without_doubt"
+def _are_few(doubtful: Collection[str], workspace: Workspace) -> bool:
+    return len(doubtful) <= MAX_DROPPED * len(workspace.names)
+
+
+def _place_again(
+    workspace: Workspace, choice: ModelChoice, doubtful: Collection[str], stage: str
+) -> list[Any]:
+    """Have the incremental mapper place photos again, from the others' poses in the kept model."""
+    start, folder = workspace.folder / "without_doubt", workspace.folder / "placed_again"
+    for one in (start, folder):
+        shutil.rmtree(one, ignore_errors=True)
     start.mkdir()
     choice.kept.reconstruction.write(start)
     model = workspace.pycolmap.Reconstruction(start)
-    for name in doubtful:
+    for name in set(doubtful).intersection(_names(model)):
         model.deregister_frame(model.find_image_with_name(name).frame_id)
     model.write(start)
     options = _incremental_options(workspace)
     options.multiple_models = False
-    folder, stage = workspace.folder / "placed_again", "other poses"
     return workspace.models(
         stage, lambda: _run_incremental(workspace, stage, folder, options, start)
     )
