@@ -19,14 +19,10 @@ MAX_FEATURES = 8192
 QUICK_FEATURES = 4096
 
 FINEST_SIZE = 3200
-"""Photos are searched at a resolution of this longer side at most, pixels; COLMAP's default."""
+"""Photos are searched at twice their resolution, but at this longer side at most, pixels; COLMAP's
+default of the largest.
 
-DOUBLED_SIZE = 1600
-"""Photos up to this size are searched at twice their resolution, too, as COLMAP does by default.
-
-Doubled images beyond FINEST_SIZE would take gigabytes of memory. OpenCV doubles every picture:
-larger photos are given to it at half their resolution, whose details are finer than the least scale
-of a feature.
+OpenCV doubles every picture, so that it is given half of that.
 """
 
 BATCH = 4 * THREADS
@@ -56,7 +52,7 @@ def extract(workspace: Workspace, size: int, quick: bool) -> None:
             options=importing,
         )
     cv2, limit = sift.opencv("features"), QUICK_FEATURES if quick else MAX_FEATURES
-    shrink = min(1.0 if size <= DOUBLED_SIZE else 0.5, FINEST_SIZE / 2 / size)
+    shrink = min(1.0, FINEST_SIZE / 2 / size)
     kept = workspace.finished
     todo = [name for name in workspace.names if not _take_up(workspace, name)]
     total = len(workspace.names)

@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass, replace
 
 from clgs.data.reduction import IGNORE, OBJECT
-from clgs.poses.stages.features import DOUBLED_SIZE, FINEST_SIZE, MAX_FEATURES, QUICK_FEATURES
+from clgs.poses.stages.features import FINEST_SIZE, MAX_FEATURES, QUICK_FEATURES
+from clgs.poses.stages.mapping import MANY
 from clgs.poses.stages.matching import FIRST_FEATURES, MAX_FULL
 from clgs.poses.stages.pairs import MAX_EXHAUSTIVE
 from clgs.train.step.schedule import COARSE_STAGES
@@ -45,8 +46,8 @@ PAIR_SECONDS, PRODUCT_SECONDS, GEOMETRY_SECONDS = 0.004, 3.2e-9, 0.02
 a feature of the other; and for the geometry of the pair."""
 
 MAPPING_SECONDS, MAPPING_GROWTH = {True: 0.28, False: 0.5}, 400
-"""Seconds per photo of FIRST_FEATURES of mappers, which use one core; a second more per this number
-of photos."""
+"""Seconds per photo of FIRST_FEATURES of mappers, which use one core, for one reconstruction or for
+two; a second more per this number of photos."""
 
 WRITTEN_SECONDS = 0.08e-6
 """Seconds per pixel that is undistorted and written."""
@@ -229,13 +230,14 @@ class PosesTime:
 def poses_time(photos: Photos, cores: int, quick: bool) -> PosesTime:
     """What structure from motion usually takes for photos of about one size."""
     count, size, cores = photos.count, max(photos.width, photos.height), max(1, min(cores, 8))
-    shrink = min(2.0 if size <= DOUBLED_SIZE else 1.0, FINEST_SIZE / size)
+    shrink = min(2.0, FINEST_SIZE / size)
     pixels = photos.width * photos.height
     found = min(FEATURES_PER_PIXEL * pixels * shrink**2, QUICK_FEATURES if quick else MAX_FEATURES)
     used = found if count <= MAX_FULL else min(found, FIRST_FEATURES)
     pairs = count * (count - 1) / 2 if count <= MAX_EXHAUSTIVE else MOST_PAIRS * count
     features = count * (PHOTO_SECONDS + PIXEL_SECONDS * pixels * shrink**2)
-    mapping = MAPPING_SECONDS[quick] * used / FIRST_FEATURES + count / MAPPING_GROWTH
+    once = quick or (cores > 1 and count <= MANY)  # the second reconstruction goes on next to it
+    mapping = MAPPING_SECONDS[once] * used / FIRST_FEATURES + count / MAPPING_GROWTH
     written = WRITTEN_SECONDS * photos.at(SIZES[0])
     return PosesTime(
         features / cores,
