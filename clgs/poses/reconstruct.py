@@ -131,9 +131,11 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
         choice = look_again(workspace, choice)
         second = None if quick else check.model(workspace, choice)
         for _ in range(0 if quick else SECOND_THOUGHTS):
-            if doubtful := unconfirmed(choice, second):
-                choice = ask_all_mappers(workspace, choice, doubtful)
-                second = check.model(workspace, choice)
+            before, doubtful = choice, unconfirmed(choice, second)
+            choice = ask_all_mappers(workspace, before, doubtful) if doubtful else before
+            if choice is before:
+                break
+            second = check.model(workspace, choice)
         if not quick and (doubtful := unconfirmed(choice, second)):
             second = check.replace_doubtful(doubtful)
         verdict = judge(choice, second, not quick, own_names)

@@ -120,7 +120,7 @@ def ask_all_mappers(
 def replace_doubtful(
     workspace: Workspace, choice: ModelChoice, doubtful: Collection[str], stage: str
 ) -> ModelChoice:
-    """Place a few doubtful photos again, if the model explains more matches then."""
+    """Place a few doubtful photos again; ``choice`` itself unless that explains more matches."""
     if not _are_few(doubtful, workspace):
         return choice
     again = [
@@ -128,6 +128,8 @@ def replace_doubtful(
         for one in _place_again(workspace, choice, doubtful, stage)
     ]
     kept = best_model([choice.kept, *again])
+    if kept is choice.kept:
+        return choice
     others = [one for one in choice.candidates if one is not choice.kept]
     return replace(choice, kept=kept, candidates=[kept, *others])
 
