@@ -29,7 +29,7 @@ assert (device or Device()).download(Device().upload(np.ones(3))).sum() == 3
 """
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows has no fork")
 @pytest.mark.parametrize("when", ["early", "late"])
 def test_a_fork_uses_no_device_of_its_parent(when):
     command = [sys.executable, "-c", PROGRAM, when]

@@ -54,11 +54,12 @@ class Check:
 
     def __init__(self) -> None:
         """Begin nothing yet."""
-        self._pool = ThreadPoolExecutor(1)  # pycolmap's mappers leave other threads running
+        self._pool = ThreadPoolExecutor(1)  # mappers let Python's other threads go on
         self._begun, self._cancelled, self._awaited = 0, Event(), Event()
         self._evidence: Evidence | None = None
         self._mapper = ""
-        self._made: Future[tuple[Workspace, ModelChoice | None]] = Future()
+        self._half: Workspace | None = None
+        self._made: Future[ModelChoice | None] = Future()
 
     def __enter__(self) -> Check:
         """Do nothing: the check is a context, so that no thread is left behind."""
@@ -83,18 +84,15 @@ class Check:
             self._begin(workspace, choice.evidence, choice.kept.mapper)
         self._awaited.set()
         workspace.on_progress(STAGE, 0, 0)
-        made = self._made.result()[1]
+        made = self._made.result()
         return made and made.kept.reconstruction
 
     def replace_doubtful(self, doubtful: Sequence[str]) -> Any | None:
         """Place photos again in the last :meth:`model`, by its own half of the points alone."""
-        half, made = self._made.result()
-        if made is None:
+        made = self._made.result()
+        if made is None or self._half is None:
             return None
-        made = replace_doubtful(half, made, doubtful, STAGE)
-        self._made = Future()
-        self._made.set_result((half, made))
-        return made.kept.reconstruction
+        return replace_doubtful(self._half, made, doubtful, STAGE).kept.reconstruction
 
     def _begin(self, workspace: Workspace, evidence: Evidence, mapper: str) -> None:
         self._cancelled.set()
@@ -109,7 +107,7 @@ class Check:
                 workspace.on_progress(stage, done, total)
 
         kept = workspace.finished and workspace.finished.part(f"{STAGE} {self._begun}")
-        half = replace(
+        self._half = half = replace(
             workspace,
             folder=workspace.folder / STAGE,
             seed=(workspace.seed + OTHER_SEED) % 2**31,
@@ -121,8 +119,8 @@ class Check:
 
 def _map_half(
     whole: Workspace, half: Workspace, evidence: Evidence, mapper: str
-) -> tuple[Workspace, ModelChoice | None]:
-    """Make a model from half of the tracks of ``whole``; returns ``half``, and None without one."""
+) -> ModelChoice | None:
+    """Make a model from half of the tracks of ``whole``; returns None if there is none."""
     shutil.rmtree(half.folder, ignore_errors=True)  # of what was given up
     half.folder.mkdir()
     half.pycolmap.set_random_seed(half.seed)  # each thread has its own
@@ -133,7 +131,7 @@ def _map_half(
     if not models or models[0].explained.contradicted > MAX_CONTRADICTED:
         found[STRONG] = map_strongest(half, part, STAGE)
         models = largest_models(found, part)
-    return half, ModelChoice(best_model(models), models, part, []) if models else None
+    return ModelChoice(best_model(models), models, part, []) if models else None
 
 
 def _write_half(whole: Workspace, half: Workspace, evidence: Evidence) -> None:

@@ -10,17 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clgs.opencl.device import Device
 from clgs.poses.finished import Finished
 from clgs.poses.judging.agreement import differences, poses_of
 from clgs.poses.judging.evidence import Evidence, MappedModel, MatchedPair, explain
-from clgs.poses.pycolmap_lazy import quiet_pycolmap
 from clgs.poses.stages import check, matching
-from clgs.poses.stages.features import extract
 from clgs.poses.stages.mapping import map_photos, replace_doubtful
 from clgs.poses.stages.pairs import pairs_to_match
-from clgs.poses.workspace import Workspace
-from tests.data.folders import write_room_photos
+from tests.poses.stages.room import room_workspace
 
 PHOTOS, FEATURES = 4, 5
 ROOM_PHOTOS = 8
@@ -82,22 +78,7 @@ def test_no_track_has_two_features_of_a_photo(pairs):
 def reconstructed(tmp_path_factory):
     """A workspace of ROOM_PHOTOS photos with matches, and the model that they give."""
     pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
-    folder = tmp_path_factory.mktemp("room")
-    write_room_photos(folder / "images", ROOM_PHOTOS)
-    names = [f"{number}.png" for number in range(ROOM_PHOTOS)]
-    with quiet_pycolmap("a test") as pycolmap:
-        workspace = Workspace(
-            pycolmap,
-            Device(),
-            folder / "images",
-            folder,
-            names,
-            [0] * ROOM_PHOTOS,
-            0,
-            lambda *step: None,
-        )
-        pycolmap.set_random_seed(0)
-        extract(workspace, 320, quick=False)
+    with room_workspace(tmp_path_factory.mktemp("room"), ROOM_PHOTOS) as workspace:
         matching.match(workspace, pairs_to_match(workspace))
         choice = map_photos(workspace, matching.read_evidence(workspace), quick=False)
         yield workspace, choice

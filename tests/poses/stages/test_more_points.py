@@ -7,16 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clgs.opencl.device import Device
 from clgs.poses.judging.agreement import Poses, common_similarity, poses_of
-from clgs.poses.pycolmap_lazy import quiet_pycolmap
 from clgs.poses.stages import matching
-from clgs.poses.stages.features import extract
 from clgs.poses.stages.mapping import map_photos
 from clgs.poses.stages.more_points import MAX_REPROJECTION_ERROR, add_points
 from clgs.poses.stages.pairs import pairs_to_match
-from clgs.poses.workspace import Workspace
-from tests.data.folders import write_room_photos
+from tests.data.folders import room_poses
+from tests.poses.stages.room import room_workspace
 
 pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
 
@@ -29,21 +26,8 @@ LARGEST = 200
 def test_points_are_added_on_the_walls_of_a_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(matching, "MAX_FULL", 0)
     monkeypatch.setattr(matching, "ENOUGH_MATCHES", 0)
-    truth = write_room_photos(tmp_path / "images", PHOTOS)
-    names, progress = [f"{number}.png" for number in range(PHOTOS)], []
-    with quiet_pycolmap("a test") as pycolmap:
-        workspace = Workspace(
-            pycolmap,
-            Device(),
-            tmp_path / "images",
-            tmp_path,
-            names,
-            [0] * PHOTOS,
-            0,
-            lambda *step: progress.append(step),
-        )
-        pycolmap.set_random_seed(0)
-        extract(workspace, 320, quick=False)
+    truth, progress = room_poses(PHOTOS), []
+    with room_workspace(tmp_path, PHOTOS, lambda *step: progress.append(step)) as workspace:
         assert matching.match(workspace, pairs_to_match(workspace), LARGEST)
         choice = map_photos(workspace, matching.read_evidence(workspace), quick=True)
         model = choice.kept.reconstruction
@@ -70,7 +54,7 @@ def test_points_are_added_on_the_walls_of_a_room(tmp_path: Path, monkeypatch: py
     assert all(point.error <= MAX_REPROJECTION_ERROR for point in added)
     rotation = np.array([pose[:3, :3].T for pose in truth])
     centre = np.array([pose[:3, 3] for pose in truth])
-    world = common_similarity(after, Poses(names, rotation, centre, np.ones(PHOTOS)))
+    world = common_similarity(after, Poses(workspace.names, rotation, centre, np.ones(PHOTOS)))
     placed = np.array([point.xyz for point in added])
     placed = world.scale * placed @ world.turn.T + world.offset
     assert np.quantile(np.abs(placed).min(axis=1), 0.95) < 0.05
