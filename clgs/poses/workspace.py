@@ -76,7 +76,8 @@ class Workspace:
         """Open the database; returns pycolmap's connection."""
         return self.call(self.pycolmap.Database.open, self.database)
 
-    def call(self, function: Callable[..., Any], *args: Any, **options: Any) -> Any:
+    @staticmethod
+    def call(function: Callable[..., Any], *args: Any, **options: Any) -> Any:
         """Call a function of pycolmap that begins by opening a database; returns its result.
 
         Raises:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from clgs.machine import available_memory
 from clgs.poses.judging.evidence import (
     MAX_CONTRADICTED,
     MIN_MATCHES,
@@ -38,6 +39,9 @@ OTHER_SEED = 1_000_003
 """Added to the seed: the second reconstruction must not follow the first one's choices."""
 
 STAGE = "check"
+
+PHOTO_MEMORY = 16 << 20
+"""Bytes that must be available per photo if two mappers are to run at once."""
 
 
 class _CancelledError(Exception):
@@ -71,11 +75,11 @@ class Check:
         self._pool.shutdown()
 
     def begin_early(self, workspace: Workspace, evidence: Evidence) -> None:
-        """Begin by the first mapper, if a core is free for it and the memory of both is small.
+        """Begin by the first mapper, if a core is free for it, and memory for both mappers.
 
         What was begun with other evidence is given up.
         """
-        if THREADS > 1 and len(workspace.names) <= MANY and evidence.pairs:
+        if THREADS > 1 and fit_together(len(workspace.names)) and evidence.pairs:
             self._begin(workspace, evidence, mappers(workspace)[0])
 
     def model(self, workspace: Workspace, choice: ModelChoice) -> Any | None:
@@ -185,3 +189,12 @@ def tracks_of(evidence: Evidence) -> dict[int, npt.NDArray[np.int64]]:
         number: track[start[number] : start[number] + count]
         for number, count in zip(numbers, counts, strict=True)
     }
+
+
+def fit_together(photos: int) -> bool:
+    """Whether two mappers of that many photos fit into the memory that is free.
+
+    If the system does not say, MANY photos do.
+    """
+    available = available_memory()
+    return photos <= MANY if available is None else photos * PHOTO_MEMORY <= available

@@ -19,11 +19,9 @@ from clgs.poses.judging.evidence import (
     explain,
 )
 from clgs.poses.judging.judge import LOW_RATIO, MAX_DROPPED
+from clgs.poses.stages.global_mapper import GLOBAL, MIN_MODEL, map_globally
 from clgs.poses.stages.matching import match_again, read_evidence
 from clgs.poses.workspace import Workspace
-
-MIN_MODEL = 3
-"""The least photos of a model."""
 
 TOLERANCE = 1e-6
 """Relative decrease of the error at which a global bundle adjustment ends."""
@@ -36,12 +34,6 @@ LOOSE_INLIERS, LOOSE_SHARE = 15, 0.15
 """The least matches with points that a photo needs at the second look, and their least share;
 COLMAP's defaults are 30 and 0.25."""
 
-ENOUGH_TRACKS = 1000
-"""Tracks per photo from which the global mapper finds poses, the longest ones first.
-
-It triangulates all of them afterwards.
-"""
-
 STRONGEST = 8
 """Pairs per photo from which a model is made if the model of all pairs contradicts matches."""
 
@@ -52,7 +44,7 @@ MANY = 150
 """Above this number of photos the global mapper is asked first: the incremental one's time grows
 with the square of the number."""
 
-INCREMENTAL, GLOBAL, GIVEN = "incremental", "global", "given poses"
+INCREMENTAL, GIVEN = "incremental", "given poses"
 STRONG = "incremental, strongest pairs"
 STRONGEST_PAIRS = "strongest"
 """Folder of the last one's files."""
@@ -248,27 +240,6 @@ def _map_incrementally(workspace: Workspace, stage: str) -> list[Any]:
     return _run_incremental(workspace, stage, workspace.folder / INCREMENTAL, options)
 
 
-def _map_globally(workspace: Workspace, stage: str) -> list[Any]:
-    """The global mapper: Pan et al., Global Structure-from-Motion Revisited (GLOMAP), 2024."""
-    workspace.on_progress(stage, 0, 0)
-    options = workspace.pycolmap.GlobalPipelineOptions()
-    mapper, options.min_model_size = options.mapper, MIN_MODEL
-    options.num_threads = mapper.num_threads = 1
-    mapper.track_required_tracks_per_view = ENOUGH_TRACKS
-    positioning = mapper.global_positioning
-    for one in (options, mapper, mapper.rotation_averaging, positioning, mapper.retriangulation):
-        one.random_seed = workspace.seed
-    positioning.use_gpu = mapper.bundle_adjustment.ceres.use_gpu = False
-    folder = workspace.folder / GLOBAL
-    folder.mkdir()
-    mapping = workspace.pycolmap.global_mapping
-    try:
-        models = workspace.call(mapping, workspace.database, workspace.images, folder, options)
-    except (RuntimeError, ValueError):  # it gives up if no pair determines a rotation
-        return []
-    return list(models.values())
-
-
 def _map_from_given(workspace: Workspace, stage: str) -> list[Any]:
     """Refine the given poses, and place the photos without one from there on."""
     total = len(workspace.names)
@@ -288,7 +259,7 @@ def _map_from_given(workspace: Workspace, stage: str) -> list[Any]:
     return _run_incremental(workspace, stage, folder / "all", options, start) or [model]
 
 
-MAPPERS = {INCREMENTAL: _map_incrementally, GLOBAL: _map_globally, GIVEN: _map_from_given}
+MAPPERS = {INCREMENTAL: _map_incrementally, GLOBAL: map_globally, GIVEN: _map_from_given}
 
 
 def map_strongest(workspace: Workspace, evidence: Evidence, stage: str) -> list[Any]:

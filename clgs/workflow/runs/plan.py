@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass, replace
 
 from clgs.data.reduction import IGNORE, OBJECT
+from clgs.poses.stages.check import fit_together
 from clgs.poses.stages.features import FINEST_SIZE, MAX_FEATURES, QUICK_FEATURES
-from clgs.poses.stages.mapping import MANY
 from clgs.poses.stages.matching import FIRST_FEATURES, MAX_FULL
 from clgs.poses.stages.pairs import MAX_EXHAUSTIVE
 from clgs.train.step.schedule import COARSE_STAGES
@@ -236,7 +236,7 @@ def poses_time(photos: Photos, cores: int, quick: bool) -> PosesTime:
     used = found if count <= MAX_FULL else min(found, FIRST_FEATURES)
     pairs = count * (count - 1) / 2 if count <= MAX_EXHAUSTIVE else MOST_PAIRS * count
     features = count * (PHOTO_SECONDS + PIXEL_SECONDS * pixels * shrink**2)
-    once = quick or (cores > 1 and count <= MANY)  # the second reconstruction goes on next to it
+    once = quick or (cores > 1 and fit_together(count))  # the second one is made meanwhile
     mapping = MAPPING_SECONDS[once] * used / FIRST_FEATURES + count / MAPPING_GROWTH
     written = WRITTEN_SECONDS * photos.at(SIZES[0])
     return PosesTime(

@@ -19,7 +19,8 @@ from clgs.poses.judging.judge import (
     photo_figures,
 )
 from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, verdict_of
-from clgs.poses.stages.mapping import GLOBAL, INCREMENTAL
+from clgs.poses.stages.global_mapper import GLOBAL
+from clgs.poses.stages.mapping import INCREMENTAL
 
 SOUND = PhotoVerdict("", GOOD, 800, 0.97, 4.5, 0.6, 10.0, 8.0)
 SAME, OTHER = PoseDifference(0.05, 0.1), PoseDifference(150.0, 40.0)

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import shutil
 from collections import defaultdict
 from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
+from clgs.poses import child
 from clgs.poses.finished import Finished
 from clgs.poses.judging.agreement import differences, poses_of
 from clgs.poses.judging.evidence import Evidence, MappedModel, MatchedPair, explain
 from clgs.poses.stages import check, matching
-from clgs.poses.stages.mapping import map_photos, replace_doubtful
+from clgs.poses.stages.global_mapper import GLOBAL
+from clgs.poses.stages.mapping import MANY, map_by, map_photos, replace_doubtful
 from clgs.poses.stages.pairs import pairs_to_match
 from tests.poses.stages.room import room_workspace
 
@@ -74,6 +80,15 @@ def test_no_track_has_two_features_of_a_photo(pairs):
             assert one == other or photos[one] & photos[other]  # else they would be joined
 
 
+@pytest.mark.parametrize(
+    ("available", "photos"), [(1 << 30, (1 << 30) // check.PHOTO_MEMORY), (None, MANY)]
+)
+def test_two_mappers_run_at_once_if_memory_is_free(monkeypatch, available, photos):
+    monkeypatch.setattr(check, "available_memory", lambda: available)
+    assert check.fit_together(photos)
+    assert not check.fit_together(photos + 1)
+
+
 @pytest.fixture(scope="module")
 def reconstructed(tmp_path_factory):
     """A workspace of ROOM_PHOTOS photos with matches, and the model that they give."""
@@ -82,6 +97,37 @@ def reconstructed(tmp_path_factory):
         matching.match(workspace, pairs_to_match(workspace))
         choice = map_photos(workspace, matching.read_evidence(workspace), quick=False)
         yield workspace, choice
+
+
+@pytest.mark.slow
+def test_global_mappers_at_once_do_not_disturb_each_other(reconstructed, monkeypatch):
+    plain, choice = reconstructed
+    monkeypatch.setattr(check, "THREADS", 2)
+    monkeypatch.setattr(check, "mappers", lambda _: [GLOBAL])
+    found = list[tuple[NDArray[np.float64], NDArray[np.float64]]]()
+    for at_once in (False, True):
+        with check.Check() as tested, TemporaryDirectory() as folder:
+            workspace = replace(plain, finished=Finished(Path(folder)))
+            if at_once:
+                tested.begin_early(workspace, choice.evidence)
+            shutil.rmtree(plain.folder / GLOBAL, ignore_errors=True)
+            (first,) = map_by(GLOBAL, workspace, "poses")
+            kept = MappedModel(GLOBAL, first, explain(first, choice.evidence))
+            second = tested.model(workspace, replace(choice, kept=kept))
+            found.append((poses_of(first).centre, poses_of(second).centre))
+    for late, early in zip(*found, strict=True):
+        assert np.array_equal(late, early)
+
+
+@pytest.mark.slow
+def test_a_check_that_is_given_up_ends_the_global_mapper(reconstructed, monkeypatch):
+    workspace, choice = reconstructed
+    monkeypatch.setattr(check, "THREADS", 2)
+    monkeypatch.setattr(check, "mappers", lambda _: [GLOBAL])
+    with check.Check() as given_up:
+        given_up.begin_early(workspace, choice.evidence)
+    assert given_up._made.done()
+    assert not child._running
 
 
 @pytest.mark.slow
