@@ -295,7 +295,8 @@ def _row_tiles(device: Device) -> int:
 def _part_size(device: Device) -> int:
     """Floats of a part of the weight gradient: weights and padding."""
     rows, columns = sizes(device)["WEIGHT_ROWS"], sizes(device)["COLUMNS"]
-    return _row_tiles(device) * rows * -(-(INPUT_DIM + 1) // columns) * columns
+    inputs = max(INPUT_DIM, HIDDEN_DIM)  # of a layer
+    return _row_tiles(device) * rows * -(-(inputs + 1) // columns) * columns
 
 
 def _backward_in_groups(

@@ -25,7 +25,8 @@ if child == 0:
             print(error, flush=True)
     os._exit(0)
 assert os.waitpid(child, 0)[1] == 0
-assert (device or Device()).download(Device().upload(np.ones(3))).sum() == 3
+device = device or Device()
+assert device.download(device.upload(np.ones(3))).sum() == 3
 """
 
 
