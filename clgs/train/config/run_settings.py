@@ -102,9 +102,10 @@ class RunSettings:
     )
     start_mlps: str = option(
         "trained",
-        "the MLPs to start from; trained: on another scene, shipped; random: as PyTorch (code); or "
-        "those of a scene: its .clgs or .npz file",
-        Text("trained, random or the name of a file"),
+        "the MLPs to start from; trained: on another scene, shipped; objects: those with 40 of "
+        "50 features, smaller files of single objects; random: as PyTorch (code); or those of a "
+        "scene: its .clgs or .npz file",
+        Text("trained, objects, random or the name of a file"),
     )
     box: str = option(
         "",

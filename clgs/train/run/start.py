@@ -3,7 +3,8 @@
 The MLPs are those trained on other scenes, random ones, or those of a scene. What the networks make
 of features hardly differs between scenes, so that a run that starts from trained ones has only the
 features to find; a feature of zeros stands for a mean anchor. ``scripts/train_start_mlps.py`` made
-the ones that ship.
+the ones that ship. Those for objects read 40 of the features; the others stay zero, and take hardly
+a byte.
 """
 
 from __future__ import annotations
@@ -34,7 +35,9 @@ TRAINED = "trained"
 
 RANDOM = "random"
 
-SHIPPED = "trained_mlps.npy"
+OBJECTS = "objects"
+
+SHIPPED = {TRAINED: "trained_mlps.npy", OBJECTS: "object_mlps.npy"}
 
 
 def first_state(device: Device, dataset: Dataset, config: TrainConfig) -> RunState:
@@ -111,16 +114,16 @@ def state_of_run(device: Device, dataset: Dataset, config: TrainConfig, folder: 
 
 
 def start_mlps(name: str, rng: np.random.Generator) -> Mlps:
-    """The MLPs called ``name``: TRAINED, RANDOM, or a scene's .clgs or .npz file.
+    """The MLPs called ``name``: TRAINED, OBJECTS, RANDOM, or a scene's .clgs or .npz file.
 
     Raises:
         DataError: the file cannot be read, or is no scene.
     """
-    if name == TRAINED:
-        with resources.files(__package__).joinpath(SHIPPED).open("rb") as file:
+    if file_name := SHIPPED.get(name):
+        with resources.files(__package__).joinpath(file_name).open("rb") as file:
             flat = np.load(file, allow_pickle=False)
         if flat.shape != (MLP_SIZE,) or flat.dtype != np.float32:
-            raise DataError(f"{SHIPPED}: not {MLP_SIZE} float32 weights; install clgs again")
+            raise DataError(f"{file_name}: not {MLP_SIZE} float32 weights; install clgs again")
         return Mlps(flat)
     if name == RANDOM:
         return init_mlps(rng)
@@ -129,7 +132,8 @@ def start_mlps(name: str, rng: np.random.Generator) -> Mlps:
         return load_scene(path).mlps
     if path.suffix.lower() != ".clgs":
         raise DataError(
-            f"start_mlps: {name} is no scene; give {TRAINED}, {RANDOM}, or a .clgs or .npz file"
+            f"start_mlps: {name} is no scene; give {', '.join(SHIPPED)}, {RANDOM}, or a .clgs or "
+            ".npz file"
         )
     try:
         return decode(path.read_bytes()).mlps

@@ -8,13 +8,17 @@ import numpy as np
 import pytest
 
 from clgs.codec.scene_encoder import encode
+from clgs.constants import FEATURE_DIM, HEAD_DIMS
 from clgs.errors import ClgsError, DataError
 from clgs.scene.mlps import MLP_SIZE, init_mlps
 from clgs.scene.storage import save_scene
 from clgs.train.config import preset
-from clgs.train.run.start import RANDOM, TRAINED, start_mlps
+from clgs.train.run.start import OBJECTS, RANDOM, TRAINED, start_mlps
 from clgs.train.run.trainer import Trainer
 from tests.codec.scenes import random_scene
+
+LIVE, STEPS = 40, 3
+"""Features that networks for objects read; steps of training."""
 
 
 def rng() -> np.random.Generator:
@@ -30,6 +34,22 @@ def test_trained_ones_are_the_same_for_all_seeds():
     assert flat.shape == (MLP_SIZE,)
     assert np.isfinite(flat).all()
     np.testing.assert_array_equal(flat, start_mlps(TRAINED, np.random.default_rng(6)).flat)
+
+
+def test_features_that_networks_for_objects_do_not_read_stay_zero(dataset, cpu):
+    config = preset("default").scaled(400)
+    config = replace(config, voxel=0.02, start_mlps=OBJECTS).for_dataset(dataset.kind)
+    weights = start_mlps(OBJECTS, rng())
+    read = np.any([weights.head(name)["hidden_weight"] != 0 for name in HEAD_DIMS], axis=(0, 1))
+    assert read[:LIVE].all()
+    assert read[FEATURE_DIM:].all()  # the direction
+    assert not read[LIVE:FEATURE_DIM].any()
+    trainer = Trainer(cpu, dataset, config)
+    for _ in range(STEPS):
+        trainer.step()
+    trained = cpu.download(trainer.parameters.scene.anchors.feature)
+    assert trained[:, :LIVE].any(axis=0).all()
+    assert not trained[:, LIVE:].any()
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".clgs"])
