@@ -50,8 +50,9 @@ def map_globally(workspace: Workspace, stage: str) -> list[Any]:
 
 
 def work(arguments: Any, on_stage: OnStage) -> int:
-    """Be the child: write the models of a database as folders 0, 1, ...; returns their number."""
-    database, images, folder = map(Path, arguments[:3])
+    """Be the child: pycolmap writes the models as folders 0, 1, ...; returns their number."""
+    *paths, seed = arguments
+    database, images, folder = map(Path, paths)
     finished = threading.Event()
 
     def report() -> None:
@@ -64,16 +65,11 @@ def work(arguments: Any, on_stage: OnStage) -> int:
         options.num_threads = mapper.num_threads = 1
         mapper.track_required_tracks_per_view = ENOUGH_TRACKS
         positioning = mapper.global_positioning
-        for one in (
-            options,
-            mapper,
-            mapper.rotation_averaging,
-            positioning,
-            mapper.retriangulation,
-        ):
-            one.random_seed = arguments[3]
+        rotations, triangulation = mapper.rotation_averaging, mapper.retriangulation
+        for one in (options, mapper, rotations, positioning, triangulation):
+            one.random_seed = seed
         positioning.use_gpu = mapper.bundle_adjustment.ceres.use_gpu = False
-        pycolmap.set_random_seed(arguments[3])
+        pycolmap.set_random_seed(seed)
         reporter = threading.Thread(target=report, daemon=True)
         reporter.start()
         try:
@@ -83,7 +79,4 @@ def work(arguments: Any, on_stage: OnStage) -> int:
         finally:
             finished.set()
             reporter.join()
-        for number, model in enumerate(models.values()):
-            (folder / str(number)).mkdir(exist_ok=True)
-            model.write(folder / str(number))
     return len(models)
