@@ -16,7 +16,7 @@ import numpy as np
 
 from clgs.codec.scene_decoder import decode
 from clgs.data.dataset import Dataset
-from clgs.errors import DataError, UsageError
+from clgs.errors import CodecError, DataError, UsageError
 from clgs.opencl.device import Device
 from clgs.scene.mlps import MLP_SIZE, Mlps, init_mlps
 from clgs.scene.scene import Scene
@@ -139,3 +139,5 @@ def start_mlps(name: str, rng: np.random.Generator) -> Mlps:
         return decode(path.read_bytes()).mlps
     except OSError as error:
         raise DataError(f"{path}: {error.strerror}; start_mlps names a scene's file") from error
+    except CodecError as error:
+        raise CodecError(f"{path}: {error}") from error

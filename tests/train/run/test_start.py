@@ -9,7 +9,7 @@ import pytest
 
 from clgs.codec.scene_encoder import encode
 from clgs.constants import FEATURE_DIM, HEAD_DIMS
-from clgs.errors import ClgsError, DataError
+from clgs.errors import CodecError, DataError
 from clgs.scene.mlps import MLP_SIZE, init_mlps
 from clgs.scene.storage import save_scene
 from clgs.train.config import preset
@@ -71,7 +71,7 @@ def test_what_is_no_scene_is_refused(tmp_path, name):
 def test_damaged_scenes_are_refused(tmp_path):
     path = tmp_path / "scene.clgs"
     path.write_bytes(b"CLGS" + bytes(40))
-    with pytest.raises(ClgsError):
+    with pytest.raises(CodecError, match=r"scene\.clgs: "):
         start_mlps(str(path), rng())
 
 
