@@ -20,7 +20,7 @@ from clgs.data.images import image_size
 from clgs.data.masks import MASKS, save_mask
 from clgs.errors import DataError
 from clgs.opencl.device import Device
-from clgs.poses.child import OnStage, run_child
+from clgs.poses.child import CrashError, OnStage, run_child
 from clgs.poses.finished import Finished
 from clgs.poses.input.bring_in import camera_numbers
 from clgs.poses.input.gps import fit, read_positions
@@ -33,7 +33,7 @@ from clgs.poses.input.known import (
     to_given_world,
 )
 from clgs.poses.judging.agreement import poses_of
-from clgs.poses.judging.evidence import MAX_CONTRADICTED, Evidence, ModelChoice
+from clgs.poses.judging.evidence import MAX_CONTRADICTED, ModelChoice
 from clgs.poses.judging.judge import judge, unconfirmed
 from clgs.poses.judging.verdict import Verdict, point_figures, verdict_of
 from clgs.poses.pycolmap_lazy import quiet_pycolmap
@@ -126,8 +126,8 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
             workspace, known=posed, positions=positions, finished=finished if kept else None
         )
         extract(workspace, size, quick)
-        begin_check = None if quick else check.begin_early
-        workspace, choice, shortened = _match_and_map(workspace, known, begin_check, notes)
+        early = None if quick else check
+        workspace, choice, shortened = _match_and_map(workspace, known, early, notes)
         choice = look_again(workspace, choice)
         second = None if quick else check.model(workspace, choice)
         for _ in range(0 if quick else SECOND_THOUGHTS):
@@ -162,17 +162,17 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
 def _match_and_map(
     workspace: Workspace,
     known: Known,
-    begin_check: Callable[[Workspace, Evidence], None] | None,
+    check: Check | None,
     notes: list[str],
 ) -> tuple[Workspace, ModelChoice, bool]:
     """Match the photos and find a model.
 
-    ``begin_check`` is called with all evidence before a model is looked for; None: in a hurry.
+    ``check`` may begin with all evidence before a model is looked for; None: in a hurry.
 
     Returns:
         The workspace without poses that are refuted, the model, and whether features were left out.
     """
-    quick, cameras = begin_check is None, set_lenses(workspace)
+    quick, cameras = check is None, set_lenses(workspace)
     pairs = pairs_to_match(workspace)
     shortened = match(workspace, pairs)
     evidence = read_evidence(workspace)
@@ -184,9 +184,14 @@ def _match_and_map(
         shortened |= match(workspace, more)
         pairs, evidence = sorted({*pairs, *more}), read_evidence(workspace)
     while True:
-        if begin_check:
-            begin_check(workspace, evidence)
-        choice = map_photos(workspace, evidence, quick)
+        if check:
+            check.begin_early(workspace, evidence)
+        try:
+            choice = map_photos(workspace, evidence, quick)
+        except CrashError:
+            if not (check and check.give_up()):
+                raise
+            choice = map_photos(workspace, evidence, quick)  # once more, alone
         if quick or not shortened or choice.kept.explained.contradicted <= MAX_CONTRADICTED:
             return workspace, choice, shortened
         match_in_full(workspace, pairs)  # what looks alike may differ in small features

@@ -10,6 +10,10 @@ is prepared as if its pose in the data set DATA were not known. CHANGE: tiny (a 
 blur (every third, by 4 pixels), light (every second at 0.45, the others at 1.15 times the
 brightness, with noise), turn (every second lies on its side). Prints how many photos have which
 verdict, and how many are off by more than a degree.
+
+``poses.py recall PHOTOS EVERY``: all pairs of every EVERY-th photo of a folder, matched by all
+their features and verified. Prints how many of the verified pairs pass the cheap look, which leaves
+pairs out before that, and the most matches of one that does not.
 """
 
 from __future__ import annotations
@@ -19,6 +23,7 @@ import json
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import numpy.typing as npt
@@ -26,9 +31,15 @@ from PIL import Image, ImageFilter
 
 from clgs.data.dataset import load_dataset
 from clgs.errors import ClgsError
+from clgs.opencl.device import Device
 from clgs.poses.judging.agreement import Poses, differences
 from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, Verdict, verdict_of
 from clgs.poses.prepare import prepare
+from clgs.poses.pycolmap_lazy import quiet_pycolmap
+from clgs.poses.stages import matching
+from clgs.poses.stages.features import extract
+from clgs.poses.stages.pairs import all_pairs
+from clgs.poses.workspace import Workspace
 from clgs.scene.camera import Camera
 
 CHANGES = ("none", "tiny", "blur", "light", "turn")
@@ -56,6 +67,10 @@ def main() -> None:
     subset.add_argument("change", nargs="?", default="none", choices=CHANGES)
     subset.add_argument("--seed", type=int, default=0)
     subset.set_defaults(run=judge_subset)
+    recall = kinds.add_parser("recall")
+    recall.add_argument("photos", type=Path)
+    recall.add_argument("every", type=int)
+    recall.set_defaults(run=count_recalled)
     args = parser.parse_args()
     try:
         args.run(args)
@@ -186,6 +201,42 @@ def changed(photo: Image.Image, change: str, number: int) -> Image.Image:
         pixels = pixels * (0.45 if number % 2 else 1.15) + noise
         return Image.fromarray(np.clip(pixels, 0, 255).astype(np.uint8))
     return photo.copy()
+
+
+def count_recalled(args: argparse.Namespace) -> None:
+    """Match photos with and without the cheap look, and print one line."""
+    with tempfile.TemporaryDirectory() as folder, quiet_pycolmap("recall") as pycolmap:
+        images = Path(folder) / "images"
+        images.mkdir()
+        names = [f"{stem}.png" for stem in copy_photos(args.photos, args.every, "none", images)]
+        longest = max(max(Image.open(images / name).size) for name in names)
+        workspace = Workspace(
+            pycolmap,
+            Device(),
+            images,
+            Path(folder),
+            names,
+            [0] * len(names),
+            seed=0,
+            on_progress=lambda stage, done, total: None,
+        )
+        extract(workspace, longest, quick=False)
+        pairs = all_pairs(len(names))
+        passed = set(matching.pairs_alike(workspace, pairs))
+        with patch.object(matching, "pairs_alike", lambda workspace, pairs: pairs):
+            matching.match(workspace, pairs, matching.MAX_DESCRIPTORS)
+        with workspace.open() as database:
+            place = {number: place for place, number in enumerate(workspace.ids(database))}
+        verified = {
+            (place[pair.first], place[pair.second]): len(pair.matches)
+            for pair in matching.read_evidence(workspace).pairs
+        }
+    missed = sorted(verified[pair] for pair in verified.keys() - passed)
+    print(
+        f"{len(names)} photos, {len(pairs)} pairs: {len(passed)} pass; of {len(verified)} that are "
+        f"verified {len(verified) - len(missed)} do ({1 - len(missed) / len(verified):.4f}); the "
+        f"others have at most {max(missed, default=0)} matches"
+    )
 
 
 if __name__ == "__main__":

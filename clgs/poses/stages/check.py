@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.machine import available_memory
+from clgs.poses.child import CrashError
 from clgs.poses.judging.evidence import (
     MAX_CONTRADICTED,
     MIN_MATCHES,
@@ -82,14 +83,30 @@ class Check:
         if THREADS > 1 and fit_together(len(workspace.names)) and evidence.pairs:
             self._begin(workspace, evidence, mappers(workspace)[0])
 
+    def give_up(self) -> bool:
+        """Stop what is being made, whose memory is needed; returns whether there was anything."""
+        begun, self._evidence = self._evidence is not None, None
+        self._cancelled.set()
+        if begun:
+            self._made.exception()  # wait for its end
+        return begun
+
     def model(self, workspace: Workspace, choice: ModelChoice) -> Any | None:
-        """Wait for the second reconstruction of this choice, pycolmap's; None if there is none."""
-        if self._evidence is not choice.evidence or self._mapper != choice.kept.mapper:
+        """Wait for the second reconstruction of this choice, pycolmap's; None if there is none.
+
+        If it crashed next to the first one, perhaps for want of memory, it is made once more.
+        """
+        early = self._evidence is choice.evidence and self._mapper == choice.kept.mapper
+        if not early or isinstance(self._wait(workspace), CrashError):
             self._begin(workspace, choice.evidence, choice.kept.mapper)
-        self._awaited.set()
-        workspace.on_progress(STAGE, 0, 0)
+            self._wait(workspace)
         made = self._made.result()
         return made and made.kept.reconstruction
+
+    def _wait(self, workspace: Workspace) -> BaseException | None:
+        self._awaited.set()
+        workspace.on_progress(STAGE, 0, 0)
+        return self._made.exception()
 
     def replace_doubtful(self, doubtful: Sequence[str]) -> Any | None:
         """Place photos again in the last :meth:`model`, by its own half of the points alone."""

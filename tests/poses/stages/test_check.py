@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import threading
+import time
 from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
@@ -14,11 +17,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from clgs.poses import child
+from clgs.poses import child, reconstruct
 from clgs.poses.finished import Finished
+from clgs.poses.input.known import Known
 from clgs.poses.judging.agreement import differences, poses_of
 from clgs.poses.judging.evidence import Evidence, MappedModel, MatchedPair, explain
-from clgs.poses.stages import check, matching
+from clgs.poses.stages import check, mapping, matching
 from clgs.poses.stages.global_mapper import GLOBAL
 from clgs.poses.stages.mapping import MANY, map_by, map_photos, replace_doubtful
 from clgs.poses.stages.pairs import pairs_to_match
@@ -28,6 +32,9 @@ PHOTOS, FEATURES = 4, 5
 ROOM_PHOTOS = 8
 MOST_TURN, BENT = 0.5, 3.0
 """Degrees."""
+
+HANG = 120
+"""Seconds after which no mapper is waited for."""
 
 
 def evidence_of(pairs: dict[tuple[int, int], list[tuple[int, int]]]) -> Evidence:
@@ -128,6 +135,64 @@ def test_a_check_that_is_given_up_ends_the_global_mapper(reconstructed, monkeypa
         given_up.begin_early(workspace, choice.evidence)
     assert given_up._made.done()
     assert not child._running
+
+
+def kill_the_global_mapper(most):
+    """Kill ``most`` global mappers as soon as they run, as a system without free memory does."""
+    killed, end = list[int](), time.monotonic() + HANG
+    while len(killed) < most and time.monotonic() < end:
+        for mapper in [one for one in list(child._running) if one.pid not in killed]:
+            mapper.kill()
+            killed.append(mapper.pid)
+        time.sleep(0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name == "nt", reason="no such signals")
+def test_a_mapper_that_was_killed_next_to_the_other_is_asked_once_more(reconstructed, monkeypatch):
+    plain, choice = reconstructed
+    monkeypatch.setattr(check, "THREADS", 2)
+    monkeypatch.setattr(check, "mappers", lambda _: [GLOBAL])
+    kept = MappedModel(GLOBAL, choice.kept.reconstruction, choice.kept.explained)
+    asked = replace(choice, kept=kept)
+    with check.Check() as whole:
+        expected = poses_of(whole.model(plain, asked)).centre
+    with check.Check() as tested:
+        tested.begin_early(plain, choice.evidence)
+        kill_the_global_mapper(1)
+        assert np.array_equal(poses_of(tested.model(plain, asked)).centre, expected)
+    with check.Check() as tested:
+        assert not tested.give_up()
+        tested.begin_early(plain, choice.evidence)
+        assert tested.give_up()
+        assert not child._running
+        assert np.array_equal(poses_of(tested.model(plain, asked)).centre, expected)
+    killer = threading.Thread(target=kill_the_global_mapper, args=[2])
+    with check.Check() as tested:
+        tested.begin_early(plain, choice.evidence)
+        killer.start()
+        with pytest.raises(child.CrashError, match="enough memory"):
+            tested.model(plain, asked)
+    killer.join()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name == "nt", reason="no such signals")
+def test_a_model_is_made_again_alone_if_both_were_killed(reconstructed, monkeypatch):
+    workspace, _ = reconstructed
+    monkeypatch.setattr(reconstruct, "match", lambda *_: False)  # the matches are there
+    monkeypatch.setattr(check, "THREADS", 2)
+    for module in (check, mapping):
+        monkeypatch.setattr(module, "mappers", lambda _: [GLOBAL])
+    expected = map_photos(workspace, matching.read_evidence(workspace), quick=False)
+    killer = threading.Thread(target=kill_the_global_mapper, args=[2])
+    with check.Check() as tested:
+        killer.start()
+        _, found, _ = reconstruct._match_and_map(workspace, Known(), tested, [])
+        killer.join()
+        assert tested.model(workspace, found) is not None
+    first, second = (poses_of(one.kept.reconstruction).centre for one in (expected, found))
+    assert np.array_equal(first, second)
 
 
 @pytest.mark.slow
