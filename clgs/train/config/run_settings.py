@@ -24,6 +24,9 @@ MOST_VIEWS = 1024
 LEAST_ANCHORS = 4
 """Fewer have no three neighbours, whose distance sets the first scale."""
 
+TRAINED, OBJECTS, RANDOM = "trained", "objects", "random"
+"""Values of start_mlps."""
+
 
 @dataclass(frozen=True)
 class RunSettings:
@@ -101,11 +104,12 @@ class RunSettings:
         unit="pixels",
     )
     start_mlps: str = option(
-        "trained",
+        "",
         "the MLPs to start from; trained: on another scene, shipped; objects: those with 40 of "
         "50 features, smaller files of single objects; random: as PyTorch (code); or those of a "
         "scene: its .clgs or .npz file",
         Text("trained, objects, random or the name of a file"),
+        open_default="objects in Blender scenes, trained among photos",
     )
     box: str = option(
         "",

@@ -23,7 +23,14 @@ from clgs.options import RenderOptions, render_options
 from clgs.train.config.box import parse_box
 from clgs.train.config.learning_rates import LearningRates
 from clgs.train.config.option import WEIGHT, at_least, option, options_of
-from clgs.train.config.run_settings import FULL_STEPS, LEAST_ANCHORS, PhotoSettings, RunSettings
+from clgs.train.config.run_settings import (
+    FULL_STEPS,
+    LEAST_ANCHORS,
+    OBJECTS,
+    TRAINED,
+    PhotoSettings,
+    RunSettings,
+)
 from clgs.train.config.size_settings import (
     AMPLE,
     ANCHOR_BITS,
@@ -235,7 +242,7 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
         return min(filter(None, (self.max_anchors, ample)), default=0)
 
     def for_dataset(self, kind: str) -> TrainConfig:
-        """Values left open (voxel, position_q, volume_weight, lambda) for a kind of data set.
+        """Values left open (voxel, position_q, volume_weight, lambda, start_mlps) by kind of data.
 
         "blender" is a synthetic scene; any other ``kind`` is photos.
         """
@@ -255,6 +262,7 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
             volume_weight=weight,
             position_q=position_q,
             size_lambda=price,
+            start_mlps=self.start_mlps or (OBJECTS if synthetic else TRAINED),
             **fine,
         )
 

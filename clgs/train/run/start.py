@@ -22,7 +22,7 @@ from clgs.scene.mlps import MLP_SIZE, Mlps, init_mlps
 from clgs.scene.scene import Scene
 from clgs.scene.storage import load_scene
 from clgs.train.config import TrainConfig
-from clgs.train.config.run_settings import LEAST_ANCHORS
+from clgs.train.config.run_settings import LEAST_ANCHORS, OBJECTS, RANDOM, TRAINED
 from clgs.train.config.settings import BLENDER
 from clgs.train.density.voxel_grid import initial_anchors
 from clgs.train.run.run_folder import finished_settings, settings_for
@@ -30,12 +30,6 @@ from clgs.train.state.checkpoint import checkpoints
 from clgs.train.state.hashes import run_digest
 from clgs.train.state.resume import load_state
 from clgs.train.state.run_state import RunState, new_exposures, new_state
-
-TRAINED = "trained"
-
-RANDOM = "random"
-
-OBJECTS = "objects"
 
 SHIPPED = {TRAINED: "trained_mlps.npy", OBJECTS: "object_mlps.npy"}
 

@@ -13,7 +13,8 @@ from clgs.errors import CodecError, DataError
 from clgs.scene.mlps import MLP_SIZE, init_mlps
 from clgs.scene.storage import save_scene
 from clgs.train.config import preset
-from clgs.train.run.start import OBJECTS, RANDOM, TRAINED, start_mlps
+from clgs.train.config.run_settings import OBJECTS, RANDOM, TRAINED
+from clgs.train.run.start import start_mlps
 from clgs.train.run.trainer import Trainer
 from tests.codec.scenes import random_scene
 
@@ -38,7 +39,11 @@ def test_trained_ones_are_the_same_for_all_seeds():
 
 def test_features_that_networks_for_objects_do_not_read_stay_zero(dataset, cpu):
     config = preset("default").scaled(400)
-    config = replace(config, voxel=0.02, start_mlps=OBJECTS).for_dataset(dataset.kind)
+    config = replace(config, voxel=0.02).for_dataset(dataset.kind)
+    assert (config.start_mlps, preset("default").for_dataset("colmap").start_mlps) == (
+        OBJECTS,
+        TRAINED,
+    )
     weights = start_mlps(OBJECTS, rng())
     read = np.any([weights.head(name)["hidden_weight"] != 0 for name in HEAD_DIMS], axis=(0, 1))
     assert read[:LIVE].all()
@@ -77,7 +82,7 @@ def test_damaged_scenes_are_refused(tmp_path):
 
 def test_runs_start_from_them(dataset, cpu):
     settings = replace(preset("default").scaled(400), voxel=0.02).for_dataset(dataset.kind)
-    assert (settings.start_mlps, preset("paper").start_mlps) == (TRAINED, RANDOM)
+    assert preset("paper").for_dataset("blender").start_mlps == RANDOM
     for name in (TRAINED, RANDOM):
         trainer = Trainer(cpu, dataset, replace(settings, start_mlps=name))
         found = cpu.download(trainer.parameters.scene.weights)
