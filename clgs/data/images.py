@@ -145,7 +145,10 @@ def check_chunks(path: Path) -> None:
         width, height, depth, kind, interlaced = struct.unpack(
             ">II2B2xB", _png_chunk(path, b"IHDR")
         )
-        left = _png_bytes(width, height, depth * _PNG_CHANNELS[kind], bool(interlaced))
+        bits = depth * _PNG_CHANNELS[kind]
+        passes = _PNG_PASSES if interlaced else ((0, 0, 1, 1),)
+        sizes = ((-(-(width - x) // dx), -(-(height - y) // dy)) for x, y, dx, dy in passes)
+        left = sum(rows * (1 + -(-columns * bits // 8)) for columns, rows in sizes if columns > 0)
         inflater = zlib.decompressobj()
         data = _png_chunk(path, b"IDAT")
         while left > 0 and (found := inflater.decompress(data, 1 << 20)):
@@ -163,13 +166,6 @@ def _png_chunk(path: Path, wanted: bytes) -> bytes:
             found.append(data[place + 8 : place + 8 + size])
         place += 12 + size
     return b"".join(found)
-
-
-def _png_bytes(width: int, height: int, bits: int, interlaced: bool) -> int:
-    """The bytes of all rows of a PNG before compression; ``bits``: of a pixel."""
-    passes = _PNG_PASSES if interlaced else ((0, 0, 1, 1),)
-    sizes = ((-(-(width - x) // dx), -(-(height - y) // dy)) for x, y, dx, dy in passes)
-    return sum(rows * (1 + -(-columns * bits // 8)) for columns, rows in sizes if columns > 0)
 
 
 def posed_size(path: Path, expected: tuple[int, int] | None) -> tuple[int, int]:

@@ -143,7 +143,12 @@ class Lens:
             error = self.distort(current) - points
             if np.abs(error).max(initial=0.0) < 1e-12:
                 break
-            current -= np.clip(_solve_2x2(self._jacobian(current), error), -0.25, 0.25)
+            columns = [  # central differences
+                (self.distort(current + offset) - self.distort(current - offset)) / 2e-6
+                for offset in np.eye(2) * 1e-6
+            ]
+            jacobian = np.stack(columns, axis=2)
+            current -= np.clip(_solve_2x2(jacobian, error), -0.25, 0.25)
         if not np.abs(self.distort(current) - points).max(initial=0.0) < 1e-7:
             raise DataError("the distortion coefficients cannot be undone inside the image")
         return current
@@ -162,15 +167,6 @@ class Lens:
         angle = np.hypot(plane[:, 0], plane[:, 1])
         longer = np.tan(np.minimum(angle, _MAX_ANGLE)) / np.maximum(angle, 1e-12)
         return plane * longer[:, None]
-
-    def _jacobian(self, points: Floats) -> Floats:
-        """Derivative of ``distort`` (N, 2, 2) by central differences."""
-        step = 1e-6
-        columns = [
-            (self.distort(points + offset) - self.distort(points - offset)) / (2 * step)
-            for offset in np.eye(2) * step
-        ]
-        return np.stack(columns, axis=2)
 
 
 @lru_cache(maxsize=256)

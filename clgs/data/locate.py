@@ -66,8 +66,12 @@ class PhotoFolder:
         Raises:
             DataError: as of ``inside``, unless a file fits.
         """
-        if self._is_literal(listed.name):
-            return self.path / listed.name
+        # A file inside the folder may have this very name, be it with colons or backslashes.
+        name, path = listed.name, self.path / listed.name
+        safe = not Path(name).is_absolute() and ".." not in path.parts and "\0" not in name
+        there = safe and nameable(path) and path.is_file()
+        if there and path.resolve().is_relative_to(self.path.resolve()):
+            return path
         try:
             path = inside(self.path, listed.name, listed.source)
         except DataError:
@@ -83,13 +87,6 @@ class PhotoFolder:
         if suffixed is None:
             return self._find_alike(listed)
         return inside(self.path, suffixed.relative_to(self.path).as_posix(), listed.source)
-
-    def _is_literal(self, name: str) -> bool:
-        """Whether a file inside the folder has this very name, be it with colons or backslashes."""
-        path = self.path / name
-        safe = not Path(name).is_absolute() and ".." not in path.parts and "\0" not in name
-        there = safe and nameable(path) and path.is_file()
-        return there and path.resolve().is_relative_to(self.path.resolve())
 
     def _find_alike(self, listed: ListedPhoto) -> Path | None:
         name = plain_name(listed.name)

@@ -74,9 +74,14 @@ def write_origin(run: Path, dataset: Dataset) -> None:
         return
     views = dataset.train
     chosen = {int(i) for i in np.linspace(0, len(views) - 1, min(KNOWN_BY, len(views))).round()}
+    folder = dataset.folder.resolve()
+    try:
+        relative = os.path.relpath(folder, run.resolve())
+    except ValueError:  # on another drive
+        relative = str(folder)
     record = {
-        "folder": str(dataset.folder.resolve()),
-        "relative": _relative(dataset.folder, run),
+        "folder": str(folder),
+        "relative": relative,
         "radius": dataset.radius,
         "cameras": {views[i].name: _pose(views[i]).tolist() for i in sorted(chosen)},
     }
@@ -103,14 +108,6 @@ def read_origin(run: Path) -> Origin | None:
         return Origin(folder, (named, moved), float(record["radius"]), cameras)
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise DataError(f"{path}: is damaged; remove it and use --data") from error
-
-
-def _relative(folder: Path, run: Path) -> str:
-    """The way from ``run`` to ``folder``; on another drive there is none but the whole path."""
-    try:
-        return os.path.relpath(folder.resolve(), run.resolve())
-    except ValueError:
-        return str(folder.resolve())
 
 
 def _pose(view: View) -> npt.NDArray[np.float64]:

@@ -166,18 +166,14 @@ def composite(pixels: Pixels, color: Color) -> Planes:
         return np.ascontiguousarray(source)
     planes = np.empty(source.shape, np.uint8)
     high = pixels.alpha.astype(np.uint16) << 8
-    tables = {value: _mixed(value) for value in set(color)}
+    alpha = np.arange(256, dtype=np.float32)[:, None] / np.float32(255)
+    tables, level = {}, np.arange(256, dtype=np.uint8)
+    for value in set(color):  # what every level becomes, at index 256 alpha + level
+        mixed = np.rint(level * alpha + np.float32(value) * np.float32(255) * (1 - alpha))
+        tables[value] = mixed.reshape(-1).astype(np.uint8)
     for plane, channel, value in zip(planes, source, color, strict=True):
         np.take(tables[value], high | channel, out=plane, mode="clip")
     return planes
-
-
-def _mixed(value: float) -> npt.NDArray[np.uint8]:
-    """What every level over ``value`` in [0, 1] becomes, at index 256 alpha + level, (65536,)."""
-    alpha = np.arange(256, dtype=np.float32)[:, None] / np.float32(255)
-    level, behind = np.arange(256, dtype=np.uint8), np.float32(value) * np.float32(255)
-    mixed = np.rint(level * alpha + behind * (1 - alpha))
-    return np.asarray(mixed.reshape(-1), np.uint8)
 
 
 def _size(pixels: Pixels) -> int:

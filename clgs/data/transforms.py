@@ -123,7 +123,9 @@ def _read_photos(root: Path, file: Path) -> tuple[list[Photo], list[str]]:
     listed = [read_frame(file, document, number) for number in range(count_frames(file, document))]
     photos, missing = locate_all(listed, root, root, str(file))
     sizes = [one.size for one in listed]
-    if None in sizes and not _tells_size(document["frames"][sizes.index(None)], document):
+    unsized = document["frames"][sizes.index(None)] if None in sizes else document
+    # Without w and h, something else of a lens may show what size of photos it is for.
+    if None in sizes and not {*CENTRE, *ANGLES} & {*document, *unsized}:
         lens = photos[0].lens
         view = 2 * np.degrees(np.arctan(lens.width / (2 * lens.fx)))
         _log.warning(
@@ -132,12 +134,6 @@ def _read_photos(root: Path, file: Path) -> tuple[list[Photo], list[str]]:
             *(file, lens.width, lens.height, view),
         )
     return photos, missing
-
-
-def _tells_size(frame: dict[str, Any], shared: dict[str, Any]) -> bool:
-    """Whether something of a lens without w and h shows what size of photos it is for."""
-    fields = {**shared, **frame}
-    return any(key in fields for key in (*CENTRE, *ANGLES))
 
 
 def _points_file(root: Path, document: dict[str, Any], file: Path) -> Path | None:

@@ -61,7 +61,11 @@ def read_binary(folder: Path) -> ColmapModel:
     if (rigs := in_any_case(folder / "rigs.bin")).is_file():
         _check_rigs(_File(rigs))
     if (frames := in_any_case(folder / "frames.bin")).is_file():
-        _check_frames(_File(frames))
+        file = _File(frames)
+        for _ in file.records(68):
+            file.take("<II")
+            file.pose()
+            file.skip(file.take("<I")[0], 16)
     return ColmapModel(images, position, color)
 
 
@@ -162,10 +166,3 @@ def _check_rigs(file: _File) -> None:
             file.take("<iI")
             if file.take("<B")[0]:
                 file.pose()
-
-
-def _check_frames(file: _File) -> None:
-    for _ in file.records(68):
-        file.take("<II")
-        file.pose()
-        file.skip(file.take("<I")[0], 16)

@@ -127,19 +127,15 @@ def photo_set(
     """
     if not listed:
         raise DataError(f"{file}: no camera has a pose; align the photos and export again")
-    folder = folder or _photo_folder(root, [one.name for one in listed])
+    if folder is None:
+        images = root / "images"
+        below = sorted(path for path in root.iterdir() if path.is_dir() and path != images)
+        stems = {_stem(one.name) for one in listed}
+        places = [place for place in (images, root, *below) if place.is_dir()]
+        named = [len(stems & {_stem(path.name) for path in list_images(place)}) for place in places]
+        folder = places[int(np.argmax(named))]
     photos, missing = locate_all(listed, root, folder, str(file))
     return PhotoSet(kind, *hold_out(photos), missing)
-
-
-def _photo_folder(root: Path, names: list[str]) -> Path:
-    """``root``, its folder images, or another one in it: where most files are called ``names``."""
-    images = root / "images"
-    below = sorted(path for path in root.iterdir() if path.is_dir() and path != images)
-    stems = {_stem(name) for name in names}
-    places = [place for place in (images, root, *below) if place.is_dir()]
-    named = [len(stems & {_stem(path.name) for path in list_images(place)}) for place in places]
-    return places[int(np.argmax(named))]
 
 
 def _stem(name: str) -> str:

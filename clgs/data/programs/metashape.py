@@ -73,15 +73,12 @@ def find(root: Path) -> Path | None:
     files = sorted(
         root.glob("*.[xX][mM][lL]"), key=lambda p: (p.name.lower() != "cameras.xml", p.name)
     )
-    return next(filter(_is_cameras, files), None)
-
-
-def _is_cameras(path: Path) -> bool:
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        start = file.read(4096)
-    return b"<document" in start and b"<chunk" in start
+    for path in filter(Path.is_file, files):
+        with path.open("rb") as file:
+            start = file.read(4096)
+        if b"<document" in start and b"<chunk" in start:
+            return path
+    return None
 
 
 def read(root: Path, file: Path) -> PhotoSet:

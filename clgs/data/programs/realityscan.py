@@ -37,15 +37,12 @@ _log = logging.getLogger(__name__)
 
 def find(root: Path) -> Path | None:
     """The CSV file of cameras in a folder, the first by name."""
-    return next(filter(_is_cameras, sorted(root.glob("*.[cC][sS][vV]"))), None)
-
-
-def _is_cameras(path: Path) -> bool:
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        lines = file.read(4096).removeprefix(b"\xef\xbb\xbf").lower().splitlines()
-    return any(line.replace(b" ", b"").startswith(b"#name,x,y,") for line in lines[:2])
+    for path in filter(Path.is_file, sorted(root.glob("*.[cC][sS][vV]"))):
+        with path.open("rb") as file:
+            lines = file.read(4096).removeprefix(b"\xef\xbb\xbf").lower().splitlines()
+        if any(line.replace(b" ", b"").startswith(b"#name,x,y,") for line in lines[:2]):
+            return path
+    return None
 
 
 def read(root: Path, file: Path) -> PhotoSet:

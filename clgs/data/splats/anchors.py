@@ -89,7 +89,13 @@ def pack_scaffold(scene: QuantizedScene, quantized: bool) -> bytes:
         **dict.fromkeys(ROTATION, zeros),
         ROTATION[0]: np.ones(count, np.float32),
     }
-    return pack_ply(PlyTable(blocks, _comments(scene)))
+    comments = [  # numbers that round-trip
+        f"{COMMENT} {group}.{name} {' '.join(repr(float(x)) for x in np.atleast_1d(value))}"
+        for group in _GROUPS
+        for name, value in asdict(getattr(scene, group)).items()
+        if f"{group}.{name}" not in LATER or scene.transform.frame != LOCAL
+    ]
+    return pack_ply(PlyTable(blocks, comments))
 
 
 def load_scaffold(
@@ -170,16 +176,6 @@ _GROUPS: dict[str, Any] = {
     "transform": SceneTransform(),
     "settings": RenderSettings(),
 }
-
-
-def _comments(scene: QuantizedScene) -> list[str]:
-    """One line per field: the word clgs, group.field, numbers that round-trip."""
-    return [
-        f"{COMMENT} {group}.{name} {' '.join(repr(float(x)) for x in np.atleast_1d(value))}"
-        for group in _GROUPS
-        for name, value in asdict(getattr(scene, group)).items()
-        if f"{group}.{name}" not in LATER or scene.transform.frame != LOCAL
-    ]
 
 
 _FIELD = re.compile(rf"({'|'.join(_GROUPS)})\.\w+")
