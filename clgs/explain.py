@@ -26,15 +26,12 @@ def explain(error: Exception) -> tuple[str, int]:
             return f"pyopencl cannot be loaded ({error}); {remedy}", DeviceError.exit_code
         return f"{name} cannot be loaded ({error}); install clgs again", ClgsError.exit_code
     if type(error).__module__.startswith("pyopencl"):
-        return _explain_opencl(error), DeviceError.exit_code
+        first = (str(error).strip().splitlines() or ["unknown error"])[0]
+        line = f"OpenCL: {type(error).__name__}: {first}"
+        if "MemoryError" in type(error).__name__:
+            line = f"the device is out of memory ({first}); try a larger --downscale"
+        elif any(code in first for code in LOST):
+            line = str(LostDeviceError(first))
+        return line, DeviceError.exit_code
     hint = "this is a bug in clgs; CLGS_DEBUG=1 shows where"
     return f"{type(error).__name__}: {error} ({hint})", ClgsError.exit_code
-
-
-def _explain_opencl(error: Exception) -> str:
-    first = (str(error).strip().splitlines() or ["unknown error"])[0]
-    if "MemoryError" in type(error).__name__:
-        return f"the device is out of memory ({first}); try a larger --downscale"
-    if any(code in first for code in LOST):
-        return str(LostDeviceError(first))
-    return f"OpenCL: {type(error).__name__}: {first}"

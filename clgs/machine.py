@@ -14,20 +14,16 @@ LIBRARIES = ("numpy", "pyopencl")
 def host_facts() -> dict[str, object]:
     """The processor's name, the operating system, and versions; no host names and no times."""
     versions = {name: metadata.version(name) for name in LIBRARIES}
-    return {
-        "processor": _processor(),
-        "system": f"{platform.system()} {platform.release()} {platform.machine()}",
-        "versions": {"clgs": __version__, "python": platform.python_version(), **versions},
-    }
-
-
-def _processor() -> str:
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
-        return platform.processor()
+        lines = []
     models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return models[0] if models else platform.processor()
+    return {
+        "processor": models[0] if models else platform.processor(),
+        "system": f"{platform.system()} {platform.release()} {platform.machine()}",
+        "versions": {"clgs": __version__, "python": platform.python_version(), **versions},
+    }
 
 
 def available_memory() -> int | None:

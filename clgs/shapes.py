@@ -40,7 +40,10 @@ class Shapes:
             TypeError: the dtype differs.
         """
         wanted = _axes_of(spec)
-        if len(array.shape) != len(wanted) or not self._fit(wanted, array.shape):
+        if len(array.shape) != len(wanted) or not all(
+            length == (axis if isinstance(axis, int) else self.axes.setdefault(axis, length))
+            for axis, length in zip(wanted, array.shape, strict=True)
+        ):
             bound = ", ".join(f"{a}={self.axes[a]}" for a in wanted if a in self.axes)
             hint = f" with {bound}" if bound else ""
             raise ValueError(
@@ -48,13 +51,6 @@ class Shapes:
             )
         if array.dtype != np.dtype(dtype):
             raise TypeError(f"{name}: dtype is {array.dtype}, expected {np.dtype(dtype)}")
-
-    def _fit(self, wanted: tuple[str | int, ...], shape: tuple[int, ...]) -> bool:
-        for axis, length in zip(wanted, shape, strict=True):
-            expected = axis if isinstance(axis, int) else self.axes.setdefault(axis, length)
-            if length != expected:
-                return False
-        return True
 
 
 @cache

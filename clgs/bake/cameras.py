@@ -9,7 +9,6 @@ enough to see them all.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from clgs.data.dataset import RADIUS_MARGIN, SCENE_RADIUS
 from clgs.scene.camera import Camera
@@ -41,16 +40,14 @@ def cameras_around(scene: Scene) -> list[Camera]:
     around = np.sqrt(1 - height**2)
     directions = np.column_stack([around * np.cos(angle), around * np.sin(angle), height])
     shells = radius * np.resize(SHELLS, VIEWS)
-    return [_look_at(stand + r * d, middle) for r, d in zip(shells, directions, strict=True)]
-
-
-def _look_at(centre: npt.NDArray[np.float64], target: npt.NDArray[np.float64]) -> Camera:
-    """A camera at ``centre`` with ``target`` in the middle of its picture; any side may be up."""
-    forward = target - centre
-    forward /= max(float(np.linalg.norm(forward)), 1e-9)
-    side = np.cross(forward, np.eye(3)[np.argmin(np.abs(forward))])
-    side /= max(float(np.linalg.norm(side)), 1e-9)
-    rotation = np.stack([side, np.cross(forward, side), forward])
-    focal = SIZE / 2 / np.tan(FIELD / 2)
-    half = SIZE / 2
-    return Camera(rotation, -rotation @ centre, focal, focal, half, half, SIZE, SIZE)
+    cameras, focal, half = [], SIZE / 2 / np.tan(FIELD / 2), SIZE / 2
+    for r, direction in zip(shells, directions, strict=True):
+        centre = stand + r * direction
+        forward = middle - centre
+        forward /= max(float(np.linalg.norm(forward)), 1e-9)
+        side = np.cross(forward, np.eye(3)[np.argmin(np.abs(forward))])  # any side may be up
+        side /= max(float(np.linalg.norm(side)), 1e-9)
+        rotation = np.stack([side, np.cross(forward, side), forward])
+        place = focal, focal, half, half, SIZE, SIZE
+        cameras.append(Camera(rotation, -rotation @ centre, *place))
+    return cameras

@@ -98,7 +98,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     show_all_letters()
     try:
         with Interruptions(), warnings.catch_warnings():
-            warnings.showwarning = _show_warning
+            warnings.showwarning = lambda message, *_, **__: tell(
+                f"clgs: warning: {' '.join(str(message).split())}"
+            )
             warnings.filterwarnings("ignore", module=r"PIL\.")  # EXIF of cameras is often odd
             code = _run(argv)
         if sys.stdout is not None:  # closed by the caller: `clgs info scene.clgs >&-`
@@ -177,10 +179,6 @@ def _lacked_memory(error: BaseException | None) -> bool:
             return True
         error = error.__cause__ or error.__context__
     return False
-
-
-def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    tell(f"clgs: warning: {' '.join(str(message).split())}")
 
 
 def complain(error: Exception) -> int:

@@ -198,19 +198,14 @@ def cut(position: npt.NDArray[np.int32], most: int, part: slice = slice(None)) -
         if stop - start <= most:
             chunks.append(slice(start, stop))
             continue
-        edges = _children(code, start, stop, level)
-        joined = _join(position, edges, most)
+        # the first point of each child of the cell, then the end of the last child
+        below = 3 * (level - 1)
+        cell = int(code[start]) >> below + 3 << 3
+        codes = np.array([cell + child << below for child in range(1, 8)], np.uint64)
+        edges = {start, *(start + np.searchsorted(code[start:stop], codes)).tolist(), stop}
+        joined = _join(position, sorted(edges), most)
         todo += [(low, high, level - 1) for low, high in reversed(joined)]
     return chunks
-
-
-def _children(code: npt.NDArray[np.uint64], start: int, stop: int, level: int) -> list[int]:
-    """The index of the first point of each child of a cell, then the end of the last child."""
-    below = 3 * (level - 1)
-    first = int(code[start]) >> below + 3 << 3
-    codes = np.array([first + child << below for child in range(1, 8)], np.uint64)
-    edges = {start, *(start + np.searchsorted(code[start:stop], codes)).tolist(), stop}
-    return sorted(edges)
 
 
 def _join(position: npt.NDArray[np.int32], edges: list[int], most: int) -> list[tuple[int, int]]:

@@ -83,17 +83,21 @@ def decode(
     reader = SceneReader(BytesSource(data), table)
     chosen = choose_layers(reader, layers)
     with workers(threads) as pool:
-        weights = pool.submit(reader.weights)
+        under_way = pool.submit(reader.weights)
         chunks = reader.chunks()[: chosen.chunks]
         anchors = _decode_rows(reader, chunks, _decode_positions(reader, chunks, pool), pool)
-        _check_layers(reader, anchors, chunks, weights.result())
+        weights, ends = under_way.result(), [0]
+        ends += [chunks[end - 1].span.stop for end in reader.layer_ends() if end <= len(chunks)]
+        for number, (layer, rows) in enumerate(zip(reader.layers, pairwise(ends), strict=False), 1):
+            if content_hash(take(anchors, slice(*rows)), weights) != layer.content_hash:
+                raise reader.error(LAYR, f"the integers of layer {number} do not match their hash")
         anchors = _in_order(reader, anchors)
         if not chosen.whole:
-            return reader.scene(anchors, weights.result())
-        hashes = pool.map(array_hash, content_arrays(anchors, weights.result()))
+            return reader.scene(anchors, weights)
+        hashes = pool.map(array_hash, content_arrays(anchors, weights))
         if join_hashes(list(hashes)) != reader.meta.content_hash:
             raise reader.error(META, "the decoded integers do not match their hash")
-    return reader.scene(anchors, weights.result())
+    return reader.scene(anchors, weights)
 
 
 @dataclass(frozen=True)
@@ -124,19 +128,6 @@ def choose_layers(reader: SceneReader, layers: int | None) -> ChosenLayers:
         warnings.warn(f"the file is cut; {has}", stacklevel=3)
     used = min(layers or count, there)
     return ChosenLayers(used, reader.layer_ends()[used - 1], used == count)
-
-
-def _check_layers(
-    reader: SceneReader,
-    anchors: QuantizedAnchors,
-    chunks: list[Chunk],
-    weights: npt.NDArray[np.float32],
-) -> None:
-    """Raise CodecError if a layer whose chunks are all given has another hash than LAYR says."""
-    ends = [0, *(chunks[end - 1].span.stop for end in reader.layer_ends() if end <= len(chunks))]
-    for number, (layer, rows) in enumerate(zip(reader.layers, pairwise(ends), strict=False), 1):
-        if content_hash(take(anchors, slice(*rows)), weights) != layer.content_hash:
-            raise reader.error(LAYR, f"the integers of layer {number} do not match their hash")
 
 
 def _in_order(reader: SceneReader, anchors: QuantizedAnchors) -> QuantizedAnchors:

@@ -95,7 +95,12 @@ def _parse(data: bytes, suffix: str, samples: int, seed: int) -> Floats:
             io.BytesIO(data), file_type=suffix[1:], process=False, skip_materials=True
         )
         if suffix == ".ply":
-            _check_ply(data, sum(len(one.vertices) for one in scene.geometry.values()))
+            found = sum(len(one.vertices) for one in scene.geometry.values())
+            declared = re.search(rb"\nelement\s+vertex\s+(\d{1,18})\s", data[:MAX_PLY_HEADER])
+            if declared and found < int(declared[1]):  # text may be cut
+                raise ValueError(
+                    f"{found} vertices follow the header, which promises {int(declared[1])}"
+                )
         clouds, corners = _gather(scene)
         if suffix == ".stl" and not len(corners):
             raise ValueError("no triangles")  # some versions of trimesh read noise as none
@@ -139,15 +144,6 @@ def _sample(corners: Floats, samples: int, seed: int) -> Floats:
     faces = np.arange(3 * len(corners)).reshape(-1, 3)
     mesh = trimesh.Trimesh(corners.reshape(-1, 3), faces, process=False)
     return np.asarray(sample_surface(mesh, samples, face_weight=area, seed=seed)[0], np.float64)
-
-
-def _check_ply(data: bytes, vertices: int) -> None:
-    """Raise ValueError if fewer vertices were read than the header declares (text may be cut)."""
-    declared = re.search(rb"\nelement\s+vertex\s+(\d{1,18})\s", data[:MAX_PLY_HEADER])
-    if declared and vertices < int(declared[1]):
-        raise ValueError(
-            f"{vertices} vertices follow the header, which promises {int(declared[1])}"
-        )
 
 
 def _check_glb(data: bytes) -> None:

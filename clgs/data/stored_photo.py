@@ -139,15 +139,12 @@ class StoredPhoto:
         pixels = self.reduced(factor)
         planes = composite(pixels, color)
         if final and factor == 1:
-            self._replace(pixels, _Composited(planes, color, pixels.alpha is None))
+            with self._lock:
+                self._forget_reduced()
+                if self._kept is pixels:
+                    self._kept = _Composited(planes, color, pixels.alpha is None)
+                    self._memory.take(planes.nbytes - _size(pixels))
         return planes
-
-    def _replace(self, before: Pixels, after: _Composited) -> None:
-        with self._lock:
-            self._forget_reduced()
-            if self._kept is before:
-                self._kept = after
-                self._memory.take(after.planes.nbytes - _size(before))
 
     def has(self, color: Color | None, factor: int) -> bool:
         """Whether :meth:`planes`, or :meth:`reduced` if ``color`` is None, has nothing to do."""

@@ -76,7 +76,9 @@ def check_pictures(photos: list[Photo], rendered: bool) -> Iterator[Finding]:
         else:
             whole.append((photo.name, found))
     yield from _copies(whole)
-    yield from _masks(whole)
+    if used := [one.used for _, one in whole if one.used < 1.0]:
+        problem = f"{len(used)} photos are masked; {np.mean(used):.0%} of their pixels are used"
+        yield Finding(NOTE, "", problem, "nothing to do: what is masked is neither used nor scored")
     yield from _orientations(whole)
     if not rendered:
         yield from _exposure(sorted(whole))
@@ -137,13 +139,6 @@ def _copies(whole: list[tuple[str, _Looked]]) -> Iterator[Finding]:
             problem = f"{len(names)} files hold the same bytes"
             remedy = "keep one: a held-out photo that is trained on scores too well"
             yield Finding(WARNING, named(names), problem, remedy)
-
-
-def _masks(whole: list[tuple[str, _Looked]]) -> Iterator[Finding]:
-    used = [looked.used for _, looked in whole if looked.used < 1.0]
-    if used:
-        problem = f"{len(used)} photos are masked; {np.mean(used):.0%} of their pixels are used"
-        yield Finding(NOTE, "", problem, "nothing to do: what is masked is neither used nor scored")
 
 
 def _orientations(whole: list[tuple[str, _Looked]]) -> Iterator[Finding]:

@@ -78,8 +78,14 @@ def start_at(first: Camera, cameras: Sequence[Camera]) -> Start:
     """
     up = -np.mean([camera.rotation[1] for camera in cameras], axis=0)
     away = float(np.linalg.norm(first.centre - np.mean([c.centre for c in cameras], axis=0)))
-    forward = first.rotation[2]
-    depth = max(float((_meeting(cameras) - first.centre) @ forward), LEAST_DISTANCE * away, 1e-3)
+    # the point with the least squared distances from the cameras' axes
+    matrix, right = 1e-6 * np.eye(3), np.zeros(3)
+    for camera in cameras:
+        across = np.eye(3) - np.outer(camera.rotation[2], camera.rotation[2])
+        matrix += across
+        right += across @ camera.centre
+    meeting, forward = np.linalg.solve(matrix, right), first.rotation[2]
+    depth = max(float((meeting - first.centre) @ forward), LEAST_DISTANCE * away, 1e-3)
     side = max(first.width / first.fx, first.height / first.fy)
     return Start(
         tuple(first.centre.tolist()),
@@ -87,17 +93,6 @@ def start_at(first: Camera, cameras: Sequence[Camera]) -> Start:
         tuple(up.tolist()),
         float(2 * np.arctan(0.5 * side)),
     )
-
-
-def _meeting(cameras: Sequence[Camera]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """The point (3,) with the least squared distances from the cameras' axes."""
-    matrix, right = 1e-6 * np.eye(3), np.zeros(3)
-    for camera in cameras:
-        axis = camera.rotation[2]
-        across = np.eye(3) - np.outer(axis, axis)
-        matrix += across
-        right += across @ camera.centre
-    return np.asarray(np.linalg.solve(matrix, right))
 
 
 def _decoder() -> bytes:

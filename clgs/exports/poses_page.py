@@ -61,6 +61,14 @@ def write_poses_page(path: Path, data: Path, verdict: Verdict) -> None:
 def poses_html(photos: PhotoSet, verdict: Verdict, sheet: bytes) -> str:
     """Make the page as text; ``photos`` have the poses that were found, ``sheet`` is a JPEG."""
     picture = base64.b64encode(sheet).decode()
+    facts = {"mapper kept": verdict.mapper}
+    facts |= {f"matches explained, {name}": f"{n:,}" for name, n in verdict.explained.items()}
+    facts["matches in links that contradict the poses"] = f"{100 * verdict.contradicted:.1f} %"
+    facts |= {
+        f"other model {number}": f"{len(names)} photos: {', '.join(names)}"
+        for number, names in enumerate(verdict.apart, 1)
+    }
+    facts |= {f"seconds, {stage}": f"{value:.1f}" for stage, value in verdict.seconds.items()}
     headline = [
         ("photos with a pose", f"{verdict.registered} / {verdict.total}"),
         ("doubtful", str(len(verdict.of(DOUBTFUL)))),
@@ -77,7 +85,7 @@ def poses_html(photos: PhotoSet, verdict: Verdict, sheet: bytes) -> str:
             _maps(photos, verdict),
             _table([*verdict.of(LEFT_OUT), *verdict.of(DOUBTFUL)]),
             _sheet(verdict.photos),
-            facts_table(_facts(verdict)),
+            facts_table(facts),
         )
     )
     style = f"{OWN_STYLE}.sheet {{ --photos: url(data:image/jpeg;base64,{picture}); }}\n"
@@ -182,14 +190,3 @@ def _sheet(photos: Sequence[PhotoVerdict]) -> str:
             f"<figcaption>{escape(one.name)}<br>{escape(text)}</figcaption></figure>"
         )
     return f'<section><h2>Photos</h2><div class="sheet">{"".join(figures)}</div></section>'
-
-
-def _facts(verdict: Verdict) -> dict[str, str]:
-    facts = {"mapper kept": verdict.mapper}
-    facts |= {f"matches explained, {name}": f"{n:,}" for name, n in verdict.explained.items()}
-    facts["matches in links that contradict the poses"] = f"{100 * verdict.contradicted:.1f} %"
-    facts |= {
-        f"other model {number}": f"{len(names)} photos: {', '.join(names)}"
-        for number, names in enumerate(verdict.apart, 1)
-    }
-    return facts | {f"seconds, {stage}": f"{value:.1f}" for stage, value in verdict.seconds.items()}

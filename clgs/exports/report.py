@@ -159,7 +159,13 @@ def _curve(curve: Sequence[tuple[int, float]]) -> str:
         return ""
     width, height, left, top, bottom = 720, 260, 44, 12, 30
     last = max(step for step, _ in points)
-    ticks = _round_ticks(min(p for _, p in points), max(p for _, p in points))
+    least, most = min(p for _, p in points), max(p for _, p in points)
+    # three to seven round numbers, the first below and the last above all
+    apart = next(
+        a for a in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 1e9) if (most - least) / a <= 5
+    )
+    first = int(np.floor(least / apart))
+    ticks = [apart * n for n in range(first, max(int(np.ceil(most / apart)), first + 1) + 1)]
     low, high = ticks[0], ticks[-1]
 
     def x(step: float) -> float:
@@ -187,13 +193,6 @@ def _curve(curve: Sequence[tuple[int, float]]) -> str:
         f'viewBox="0 0 {width} {height}" aria-label="PSNR over steps">{rules}{steps}'
         f'<polyline class="curve" points="{line}"/></svg></section>'
     )
-
-
-def _round_ticks(low: float, high: float) -> list[float]:
-    """Three to seven round numbers, the first below ``low`` and the last above ``high``."""
-    step = next(s for s in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 1e9) if (high - low) / s <= 5)
-    first = int(np.floor(low / step))
-    return [step * tick for tick in range(first, max(int(np.ceil(high / step)), first + 1) + 1)]
 
 
 def _pictures(views: Sequence[ReportView], held_out: bool) -> str:

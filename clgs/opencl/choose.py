@@ -36,7 +36,11 @@ def list_devices() -> list[Any]:
 def survey() -> tuple[list[Any], list[str]]:
     """Every usable device, and a line for each platform or device that is none, with the reason."""
     devices, skipped = [], []
-    for platform in _platforms():
+    try:
+        platforms = cl.get_platforms()
+    except cl.Error:
+        platforms = []
+    for platform in platforms:
         name = platform.name.strip()
         try:
             found = platform.get_devices()
@@ -120,13 +124,6 @@ def too_small(device: Any) -> str:
         size = device.local_mem_size
         return f"it has {size} bytes of local memory, {LEAST_LOCAL_MEMORY} are needed"
     return ""
-
-
-def _platforms() -> list[Any]:
-    try:
-        return list(cl.get_platforms())
-    except cl.Error:
-        return []
 
 
 def choose_device(name: str | None = None, flag: str = "--device") -> Any:

@@ -106,11 +106,19 @@ def nearest(
     if not jobs:
         none = np.zeros(0, np.int32)
         return [Nearest(none, none, none) for _ in pairs]
+    # The build options of the kernel are sizes that it shares with this module.
+    sizes = {"LENGTH": LENGTH, "LANES": LANES, "BLOCK_ROWS": BLOCK_ROWS, "TILE_BITS": TILE_BITS}
+    grid: LaunchSizes = (len(jobs) * GPU_GROUP,), (GPU_GROUP,)
+    if device.specialisation == "cpu":
+        grid = by_items(len(jobs), 1)
+        # as many sums as registers hold
+        wide = device.register_lanes == LANES
+        sizes |= {"TILES_AT_ONCE": 2, "ROWS": 8} if wide else {"TILES_AT_ONCE": 1, "ROWS": 4}
     results = [device.empty((len(jobs), BLOCK_ROWS), np.int32) for _ in range(3)]
     index, product, second = results
     device.run(
-        device.kernel("match/nearest", "match_nearest", **_sizes(device)),
-        *_grid(device, len(jobs)),
+        device.kernel("match/nearest", "match_nearest", **sizes),
+        *grid,
         own=own.tiles,
         others=others.tiles,
         jobs=device.upload(np.array(jobs, np.int32)),
@@ -130,22 +138,6 @@ def nearest(
 
 def _blocks(count: int) -> int:
     return -(-count // BLOCK_ROWS)
-
-
-def _sizes(device: Device) -> dict[str, int]:
-    """The build options of the kernel: sizes that it shares with this module."""
-    sizes = {"LENGTH": LENGTH, "LANES": LANES, "BLOCK_ROWS": BLOCK_ROWS, "TILE_BITS": TILE_BITS}
-    if device.specialisation == "cpu":
-        # As many sums as registers hold.
-        wide = device.register_lanes == LANES
-        sizes |= {"TILES_AT_ONCE": 2, "ROWS": 8} if wide else {"TILES_AT_ONCE": 1, "ROWS": 4}
-    return sizes
-
-
-def _grid(device: Device, jobs: int) -> LaunchSizes:
-    if device.specialisation == "cpu":
-        return by_items(jobs, 1)
-    return (jobs * GPU_GROUP,), (GPU_GROUP,)
 
 
 def _check(name: str, photo: Bytes) -> None:

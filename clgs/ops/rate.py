@@ -101,7 +101,10 @@ def forward(device: Device, x: DeviceArray, q: float, form: Form = "channel") ->
         centre = np.rint(mean)
         sums = _statistics(device, x, q, (centre, mean - centre), None)
         if form == "pooled":
-            limits = _pooled_limits(sums)
+            # the largest distance from the mean at which the cost still varies: clamp or floor
+            b = np.maximum(_deviation(sums), POOLED_MIN_SCALE)
+            floor = 0.5 + b * (POOLED_MAX_NATS + np.log(-0.5 * np.expm1(-1 / b)))
+            limits = np.minimum(POOLED_CLAMP * b, floor)
             sums = _statistics(device, x, q, (sums.centre, sums.mean), limits)
             nats, table = _pooled(sums, limits)
         else:
@@ -198,13 +201,6 @@ def _near(distance: Values, b: Values) -> Cost:
 
 def _deviation(sums: _ChannelSums) -> Values:
     return np.sqrt((sums.square - sums.count * sums.mean**2) / max(sums.count - 1, 1))
-
-
-def _pooled_limits(sums: _ChannelSums) -> Values:
-    """Largest distance from the mean at which the cost still varies: clamp or floor, (1,)."""
-    b = np.maximum(_deviation(sums), POOLED_MIN_SCALE)
-    floor = 0.5 + b * (POOLED_MAX_NATS + np.log(-0.5 * np.expm1(-1 / b)))
-    return np.minimum(POOLED_CLAMP * b, floor)
 
 
 def _pooled(sums: _ChannelSums, limits: Values) -> tuple[Values, Values]:

@@ -59,25 +59,16 @@ def tiles_of(mean2d: Array, whitening: Array, opacity: float, size: tuple[int, i
     bottom = np.minimum(top + TILE_SIZE - 1, size[1] - 0.5 - mean2d[1])
     inside = (left <= 0) & (right >= 0) & (top <= 0) & (bottom >= 0)
     smallest = np.where(inside, 0.0, np.inf)
-    for x in (left, right):
-        smallest = np.minimum(smallest, _least_on_column(x, top, bottom, whitening))
-    for y in (top, bottom):
-        smallest = np.minimum(smallest, _least_on_row(left, right, y, whitening))
+    r1, l_factor, r2 = whitening
+    for x in (left, right):  # the derivative by dy vanishes at l dx
+        y = np.clip(l_factor * x, top, bottom)
+        smallest = np.minimum(smallest, _squared(x, y, whitening))
+    for y in (top, bottom):  # from the derivative by dx
+        best = y * l_factor * r2**2 / (r1**2 + (l_factor * r2) ** 2)
+        smallest = np.minimum(smallest, _squared(np.clip(best, left, right), y, whitening))
     return np.flatnonzero(opacity * np.exp(-0.5 * smallest) >= ALPHA_CUT)
 
 
 def _squared(dx: Array, dy: Array, whitening: Array) -> Array:
     r1, l_factor, r2 = whitening
     return np.asarray((dx * r1) ** 2 + ((dy - l_factor * dx) * r2) ** 2)
-
-
-def _least_on_column(x: Array, top: Array, bottom: Array, whitening: Array) -> Array:
-    """Smallest y1^2 + y2^2 on a vertical segment: the derivative by dy vanishes at l dx."""
-    return _squared(x, np.clip(whitening[1] * x, top, bottom), whitening)
-
-
-def _least_on_row(left: Array, right: Array, y: Array, whitening: Array) -> Array:
-    """Smallest y1^2 + y2^2 on a horizontal segment, from its derivative by dx."""
-    r1, l_factor, r2 = whitening
-    best = y * l_factor * r2**2 / (r1**2 + (l_factor * r2) ** 2)
-    return _squared(np.clip(best, left, right), y, whitening)

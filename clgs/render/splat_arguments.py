@@ -94,7 +94,9 @@ def check_arguments(
     batch = _array("means", means).shape[:-2]
     if means.ndim < 2:
         raise ValueError(f"means: shape is {means.shape}, expected (..., N, 3)")
-    n, c = means.shape[-2], viewmats.shape[-3] if _matrix_like(viewmats) else 0
+    if _array("viewmats", viewmats).ndim < 3:
+        raise ValueError(f"viewmats: shape is {viewmats.shape}, expected (..., C, 4, 4)")
+    n, c = means.shape[-2], viewmats.shape[-3]
     means = _fit("means", means, batch, (n, 3))
     opacities = _fit("opacities", opacities, batch, (n,))
     if covars is None:
@@ -145,12 +147,6 @@ def _array(name: str, value: Any) -> npt.NDArray[Any]:
             f"{name}: is {type(value).__name__}; give a NumPy array, or one of pyopencl"
         )
     return value
-
-
-def _matrix_like(viewmats: Any) -> bool:
-    if _array("viewmats", viewmats).ndim < 3:
-        raise ValueError(f"viewmats: shape is {viewmats.shape}, expected (..., C, 4, 4)")
-    return True
 
 
 def _fit(

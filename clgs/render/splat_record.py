@@ -7,7 +7,6 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
@@ -145,7 +144,11 @@ class Record:
             turned = device.hand_over(by_direction)
             result["colors"] = device.hand_over(d_sh)
             result["means"] += turned
-            d_matrix += _by_centre(device.download(view.camera), -turned.sum(0, np.float64))
+            # The camera's centre is the column of its matrix's inverse.
+            camera, d_centre = device.download(view.camera), -turned.sum(0, np.float64)
+            rotation, centre = camera[:9].reshape(3, 3).astype(np.float64), camera[23:26]
+            across = np.append(np.linalg.solve(rotation.T, d_centre), centre @ d_centre)
+            d_matrix -= np.outer(across, np.append(centre, 1.0))
         result["viewmats"] = d_matrix
         return result
 
@@ -181,12 +184,3 @@ def _checked(name: str, array: Any, shape: tuple[int, ...]) -> Floats:
     if array.shape != shape:
         raise ValueError(f"{name}: shape is {array.shape}, expected {shape}")
     return np.ascontiguousarray(array)
-
-
-def _by_centre(
-    camera: npt.NDArray[np.float32], d_centre: npt.NDArray[np.float64]
-) -> npt.NDArray[np.float64]:
-    """The part (4, 4) of a matrix in what depends on its camera's centre: its inverse's column."""
-    rotation, centre = camera[:9].reshape(3, 3).astype(np.float64), camera[23:26]
-    across = np.append(np.linalg.solve(rotation.T, d_centre), centre @ d_centre)
-    return -np.outer(across, np.append(centre, 1.0))

@@ -102,8 +102,11 @@ def load_scene(path: Path | str) -> QuantizedScene:
     except PermissionError:
         raise DataError(f"{path}: may not be read; give yourself the permission") from None
     except DAMAGE as error:
-        if isinstance(error, MemoryError) and _can_hold(path, error):
-            raise
+        if isinstance(error, MemoryError):
+            # No damage, if the archive may hold the array that memory had no room for.
+            shape, dtype = getattr(error, "shape", ()), getattr(error, "dtype", np.dtype(np.int8))
+            if math.prod(shape) * dtype.itemsize <= MOST_FOR_A_BYTE * path.stat().st_size:
+                raise
         problem = describe_damage(error)
         remedy = "clgs.decode reads it" if path.suffix == ".clgs" else "write the file again"
         raise DataError(f"{path}: not a scene archive ({problem}); {remedy}") from None
@@ -135,12 +138,6 @@ def check_members(archive: zipfile.ZipFile, size: int) -> None:
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise ValueError(f"{member.filename} is compressed, but not by deflate")
     check_declared(sum(member.file_size for member in archive.infolist()), size)
-
-
-def _can_hold(path: Path, error: MemoryError) -> bool:
-    """Whether the archive may hold the array that memory had no room for: no damage then."""
-    shape, dtype = getattr(error, "shape", ()), getattr(error, "dtype", np.dtype(np.int8))
-    return math.prod(shape) * dtype.itemsize <= MOST_FOR_A_BYTE * path.stat().st_size
 
 
 def describe_damage(error: BaseException) -> str:

@@ -10,9 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.codec.fit_size import take
-from clgs.data.masks import USED, Mask
+from clgs.data.masks import USED
 from clgs.data.reduction import OBJECT
-from clgs.data.view import View
 from clgs.errors import DataError, UsageError
 from clgs.opencl.device import Device
 from clgs.render.frame import upload_scene
@@ -83,7 +82,9 @@ def crop(
         dataset = load_views(path, scene, replace(views, masks=OBJECT), on_event)
     device, options = Device(views.device), drawing_options(path, views, scene)
     if masked or least_views:
-        masks = [_object_mask(view) if masked else None for view in dataset.train]
+        # Alpha shows where the object is.
+        alphas = (view.photo.pixels().alpha if masked else None for view in dataset.train)
+        masks = [None if alpha is None else (alpha >= USED).astype(np.uint8) for alpha in alphas]
         if masked and not any(mask is not None for mask in masks):
             raise DataError(f"{views.data}: no training photo has a mask; leave out --object")
         seen = visibility(
@@ -115,9 +116,3 @@ def _left(path: Path, scene: QuantizedScene, kept: npt.NDArray[np.bool_]) -> Qua
     if not kept.any():
         raise UsageError(f"{path}: nothing would be left; `clgs info` shows the extent of a file")
     return take(scene, np.flatnonzero(kept))
-
-
-def _object_mask(view: View) -> Mask | None:
-    """Where the photo shows the object, by its alpha; None if it has none."""
-    alpha = view.photo.pixels().alpha
-    return None if alpha is None else (alpha >= USED).astype(np.uint8)

@@ -26,7 +26,7 @@ from clgs.cluster.engine import (
     require_distributed,
     run_tasks,
 )
-from clgs.cluster.worker import Row, Task, Tell, forget_peak_memory, opened_device
+from clgs.cluster.worker import Task, Tell, forget_peak_memory, opened_device
 from clgs.data.dataset import load_dataset
 from clgs.data.origin import repose
 from clgs.errors import ClgsError, DataError, UsageError
@@ -112,7 +112,10 @@ def train_in_blocks(
     check_run_folder(folder, resume, overwrite, in_blocks=True)
     if resume:
         check_same_data(folder / COARSE, data)
-        _check_counts(folder, counts)
+        begun = read_plan(folder / BLOCKS)
+        if begun is not None and counts not in (None, begun.cuts.counts):
+            there = "x".join(map(str, begun.cuts.counts))
+            raise UsageError(f"--blocks: {folder} was begun with {there}; give that, or auto")
     memory = _memory_of_a_worker(folder, workers, scheduler, device)
     return_freed_memory()
     config, width = _resolved(data, config)
@@ -130,19 +133,23 @@ def train_in_blocks(
                 return read_finished(found, config.steps, write_report, on_event)
         reduced = coarse_config(config, width)
         coarse, plan = _coarse_and_plan(data, folder, reduced, counts, opened, memory, on_event)
-        _say(plan, on_event)
+        rows, columns = plan.cuts.counts
+        shares = ", ".join(f"{name}: {len(names)}" for name, names in plan.train.items())
+        on_event(Note(f"{rows} x {columns} blocks; training photos of each: {shares}"))
         tasks = block_tasks(data, folder, config, plan)
         on_message = _follow(tasks, on_event)
         if workers is None and scheduler is None:
-            rows = [train_block({**task, "device": device}, on_message) for task in tasks]
+            trained = [train_block({**task, "device": device}, on_message) for task in tasks]
         else:
             with connected(workers or 1, scheduler) as client:
                 kernels = folder / BLOCKS / "kernels"
-                rows = run_tasks(
+                trained = run_tasks(
                     client, train_block, tasks, kernels, lambda row: None, on_message, device
                 )
-        _check_rows(rows)
-        write_json(folder / BLOCKS / ROWS, sorted(rows, key=lambda row: str(row["run"])))
+        if failed := [row for row in trained if "error" in row]:
+            row = failed[0]
+            raise BlockError(f"block {row['run']}: {row['error']}", row["exit_code"])
+        write_json(folder / BLOCKS / ROWS, sorted(trained, key=lambda row: str(row["run"])))
         merged = merged_scene(folder / BLOCKS, plan.cuts, coarse.scene)
         result = _train_merged(data, folder, joint, merged, opened, lock, on_event)
         write_report()
@@ -208,14 +215,6 @@ def _resolved(data: Path, config: TrainConfig) -> tuple[TrainConfig, int]:
     return config.for_dataset(outline.kind), width
 
 
-def _check_counts(folder: Path, counts: tuple[int, int] | None) -> None:
-    """Raise UsageError if the run in ``folder`` was begun with other ``counts`` than these."""
-    plan = read_plan(folder / BLOCKS)
-    if plan is not None and counts not in (None, plan.cuts.counts):
-        there = "x".join(map(str, plan.cuts.counts))
-        raise UsageError(f"--blocks: {folder} was begun with {there}; give that, or auto")
-
-
 def _coarse_and_plan(
     data: Path,
     folder: Path,
@@ -254,13 +253,6 @@ def _coarse_and_plan(
     return coarse, make_plan(folder / BLOCKS, coarse.scene, photos, seen, counts)
 
 
-def _say(plan: Plan, on_event: OnEvent) -> None:
-    """Tell the plan before anything of it is done."""
-    rows, columns = plan.cuts.counts
-    photos = ", ".join(f"{name}: {len(names)}" for name, names in plan.train.items())
-    on_event(Note(f"{rows} x {columns} blocks; training photos of each: {photos}"))
-
-
 def _follow(tasks: list[Task], on_event: OnEvent) -> Tell:
     """What receives the messages of workers and reports the steps of all blocks together."""
     total = sum(task["steps"] - task["begun"] for task in tasks)
@@ -278,10 +270,3 @@ def _follow(tasks: list[Task], on_event: OnEvent) -> Tell:
 def _report(config: TrainConfig, on_event: OnEvent) -> Callable[[Progress], None]:
     """What receives the progress of a run of these settings and reports it."""
     return lambda progress: on_event(TrainingProgress(progress, config.steps))
-
-
-def _check_rows(rows: list[Row]) -> None:
-    """Raise BlockError if a block failed."""
-    failed = [row for row in rows if "error" in row]
-    if failed:
-        raise BlockError(f"block {failed[0]['run']}: {failed[0]['error']}", failed[0]["exit_code"])

@@ -151,15 +151,11 @@ def _decode(text: bytes, size: int, files: Open) -> PlyTable:
         name: column if name in "xyz" else column.astype(np.float32)
         for name, column in found.items()
     }
-    return PlyTable(columns, _comments(meta))
-
-
-def _comments(meta: dict[str, Any]) -> list[str]:
-    """What the comments of a PLY file would say: antialiased drawing, and the world."""
     antialiased = meta.get("model") == MODEL or meta.get("antialias") is True
     asset = meta.get("asset")
     world = asset.get("world") if isinstance(asset, dict) else None
-    return [*["antialiased 1"] * antialiased, *([world] if isinstance(world, str) else [])]
+    comments = [*["antialiased 1"] * antialiased, *([world] if isinstance(world, str) else [])]
+    return PlyTable(columns, comments)
 
 
 def _look_up(table: Floats, pixels: npt.NDArray[np.int64]) -> Floats:

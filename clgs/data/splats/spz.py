@@ -102,17 +102,24 @@ def _columns(rows: list[Bytes], fraction: int) -> dict[str, npt.NDArray[Any]]:
                 found[f"f_rest_{width * channel + i}"] = coefficients[:, i, channel]
     found["opacity"] = logit(opacity[:, 0] / 255.0)
     found |= {f"scale_{i}": scale[:, i] / SCALE_STEPS + SCALE_LEAST for i in range(3)}
-    if rotation.shape[1] == 3:  # x, y and z in bytes
-        first = rotation / 127.5 - 1
-        last = np.sqrt(np.maximum(0.0, 1 - np.square(first).sum(axis=1, keepdims=True)))
-        unit = np.concatenate([first, last], axis=1)
-    else:  # words: two bits for the largest, sign and size of each other
-        words = np.ascontiguousarray(rotation).view("<u4")[:, 0].astype(np.int64)
-        fields = np.stack([words >> shift & 1023 for shift in (20, 10, 0)], axis=1)
-        sizes = (fields & 511) * np.where(fields >> 9, -1, 1)
-        unit = from_smallest_three(words >> 30, sizes / (ROTATION_STEPS * np.sqrt(2)))
+    unit = _first_three(rotation) if rotation.shape[1] == 3 else _smallest_three(rotation)
     found |= {f"rot_{i}": unit[:, (i + 3) % 4] for i in range(4)}  # x y z w to w x y z
     return {name: np.asarray(column, np.float32) for name, column in found.items()}
+
+
+def _first_three(rotation: Bytes) -> npt.NDArray[np.float64]:
+    """Quaternions x y z w of x, y and z in bytes."""
+    first = rotation / 127.5 - 1
+    last = np.sqrt(np.maximum(0.0, 1 - np.square(first).sum(axis=1, keepdims=True)))
+    return np.concatenate([first, last], axis=1)
+
+
+def _smallest_three(rotation: Bytes) -> npt.NDArray[np.float64]:
+    """Quaternions x y z w of words: two bits for the largest, sign and size of each other."""
+    words = np.ascontiguousarray(rotation).view("<u4")[:, 0].astype(np.int64)
+    fields = np.stack([words >> shift & 1023 for shift in (20, 10, 0)], axis=1)
+    sizes = (fields & 511) * np.where(fields >> 9, -1, 1)
+    return from_smallest_three(words >> 30, sizes / (ROTATION_STEPS * np.sqrt(2)))
 
 
 def _inflate(data: bytes, most: int, whole: bool = False) -> bytes:

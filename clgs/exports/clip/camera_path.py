@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from clgs.errors import DataError
 from clgs.exports.clip.framing import fov_y
@@ -88,7 +87,12 @@ def _camera(frame: Any, where: str, size: tuple[int, int]) -> Camera:
         raise _PathError(f"{where}: not an object")
     # camera to world (4, 4), its rotation made exact
     field = next((name for name in POSES if name in frame), POSES[0])
-    flat = _numbers(frame.get(field))
+    value = frame.get(field)
+    try:
+        found = json.loads(value) if isinstance(value, str) else value
+        flat = np.array(plain_numbers(found), np.float64).ravel()
+    except (TypeError, ValueError, RecursionError):
+        flat = np.empty(0)
     if flat.size not in (12, 16) or not (np.abs(flat) < FARTHEST).all():
         raise _PathError(f"{where}.{field}: 16 numbers below {FARTHEST:g} are needed")
     pose = np.eye(4)
@@ -104,15 +108,6 @@ def _camera(frame: Any, where: str, size: tuple[int, int]) -> Camera:
     if math.isclose(aspect, size[0] / size[1], rel_tol=0.02):
         aspect = 0.0  # rounded to whole pixels
     return pinhole(FLIP @ pose[:3, :3].T, pose[:3, 3], fov, size, aspect)
-
-
-def _numbers(value: Any) -> npt.NDArray[np.float64]:
-    """The numbers of a list, or of a text that holds one; no numbers if it is something else."""
-    try:
-        found = json.loads(value) if isinstance(value, str) else value
-        return np.array(plain_numbers(found), np.float64).ravel()
-    except (TypeError, ValueError, RecursionError):
-        return np.empty(0)
 
 
 def _number(

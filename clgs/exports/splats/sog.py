@@ -102,25 +102,19 @@ def encode_sog(gaussians: HostGaussians, transform: SceneTransform = IDENTITY) -
             "codebook": palette.table.tolist(),
             "files": ["shN_centroids.webp", "shN_labels.webp"],
         }
-        files |= _palette_files(palette)
+        count, size, _ = palette.entries.shape
+        rows = -(-count // PALETTE_COLUMNS)
+        entries = np.zeros((rows * PALETTE_COLUMNS, size, 3), np.uint8)
+        entries[:count] = palette.entries
+        labels = np.column_stack([palette.label & 255, palette.label >> 8]).astype(np.uint8)
+        files["shN_centroids.webp"] = _webp(entries.reshape(rows, PALETTE_COLUMNS * size, 3))
+        files["shN_labels.webp"] = _webp(_square(np.pad(labels, ((0, 0), (0, 1)))))
     files = {META: json.dumps(meta, separators=(",", ":")).encode(), **files}
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
         for name, data in files.items():
             archive.writestr(zipfile.ZipInfo(name, EARLIEST), data)
     return Encoded(buffer.getvalue(), as_read(decode_sog(buffer.getvalue()), transform))
-
-
-def _palette_files(palette: Palette) -> dict[str, bytes]:
-    count, size, _ = palette.entries.shape
-    rows = -(-count // PALETTE_COLUMNS)
-    entries = np.zeros((rows * PALETTE_COLUMNS, size, 3), np.uint8)
-    entries[:count] = palette.entries
-    labels = np.column_stack([palette.label & 255, palette.label >> 8]).astype(np.uint8)
-    return {
-        "shN_centroids.webp": _webp(entries.reshape(rows, PALETTE_COLUMNS * size, 3)),
-        "shN_labels.webp": _webp(_square(np.pad(labels, ((0, 0), (0, 1))))),
-    }
 
 
 def _square(values: Bytes) -> Bytes:

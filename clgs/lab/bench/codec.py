@@ -143,7 +143,12 @@ def bench_subject(
             middle = time.perf_counter()
             decoded = coder.decode(data)
             end = time.perf_counter()
-            if not _same(decoded, subject.content):
+            content = subject.content
+            pairs: list[tuple[Any, Any]] = [(decoded, content)]
+            if isinstance(content, QuantizedScene):
+                items = content.anchors.items()
+                pairs = [(getattr(decoded.anchors, name), array) for name, array in items]
+            if not all(np.array_equal(*pair) for pair in pairs):
                 problem = f"{coder.name} gives back other numbers than those of {subject.name}"
                 raise ClgsError(problem)
             runs[coder.name].append((len(data), middle - start, end - middle))
@@ -155,13 +160,6 @@ def bench_subject(
         ratio = size / base if base else None
         found.append(CoderFigures(name, size, median(encoding), median(decoding), len(own), ratio))
     return found
-
-
-def _same(decoded: Any, content: Any) -> bool:
-    if isinstance(content, QuantizedScene):
-        pairs = ((getattr(decoded.anchors, name), own) for name, own in content.anchors.items())
-        return all(np.array_equal(*pair) for pair in pairs)
-    return np.array_equal(decoded, content)
 
 
 def own_coders(subject: CodedData) -> list[Coder]:

@@ -15,7 +15,6 @@ from clgs.lab.selftest.exact_scenes import (
     Tensor,
     named,
 )
-from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import (
     adam,
@@ -33,7 +32,7 @@ from clgs.ops import (
 from clgs.ops.general import antialias, splats, views
 from clgs.options import DEFAULT, RenderOptions, Skips
 from clgs.render import channel_picture, tile_groups
-from clgs.render.frame import DeviceScene, Frame, Room, upload_scene, upload_view
+from clgs.render.frame import Room, upload_scene, upload_view
 from clgs.render.rasterise import blend_backward, check_room, rasterise
 from clgs.scene.anchors import AnchorSet
 from clgs.scene.gaussians import OrdinaryGaussians
@@ -153,7 +152,14 @@ def room_tensors(device: Device, one: ConformanceScene) -> Iterator[Tensor]:
     yield from named(device, "project anchors", fused.projected, *vars(fused.projected))
     unculled = rasterise(device, scene, view, RenderOptions(skips=Skips(anchors=False)))
     yield "cull", "every", device.download(unculled.activations.visible)
-    yield "position", "d_position", device.download(_d_position(device, scene, frame))
+    gaussians, random = frame.gaussians, ExactRandom(4)
+    names = "mean", "scale", "rotation", "color", "opacity"
+    shapes = (getattr(gaussians, name).shape for name in names)
+    given = (device.upload(random.floats(shape, -1.0, 1.0)) for shape in shapes)
+    by_means = neural.GaussianGradients(*given)
+    made = neural.backward(device, gaussians, frame.activations, scene.anchors, by_means, True)
+    assert made.d_position is not None
+    yield "position", "d_position", device.download(made.d_position)
     size, projected = view.size, frame.projected
     by_row = tiles.count_by_row(device, projected, size, DEFAULT)
     yield "tiles", "by_row", by_row
@@ -165,20 +171,6 @@ def room_tensors(device: Device, one: ConformanceScene) -> Iterator[Tensor]:
     d_image = device.upload(ExactRandom(5).floats(grouped.image.shape, -1.0, 1.0))
     d = blend_backward(device, grouped, d_image)
     yield from named(device, "groups", d, "d_color", "d_opacity", "d_mean2d", "d_whitening")
-
-
-def _d_position(device: Device, scene: DeviceScene, frame: Frame) -> DeviceArray:
-    """Gradient by the positions of anchors, of random gradients by the means."""
-    gaussians, random = frame.gaussians, ExactRandom(4)
-    d = neural.GaussianGradients(
-        *(
-            device.upload(random.floats(getattr(gaussians, name).shape, -1.0, 1.0))
-            for name in ["mean", "scale", "rotation", "color", "opacity"]
-        )
-    )
-    made = neural.backward(device, gaussians, frame.activations, scene.anchors, d, True)
-    assert made.d_position is not None
-    return made.d_position
 
 
 def file_tensors(device: Device, one: ConformanceScene) -> Iterator[Tensor]:

@@ -81,7 +81,12 @@ def common_similarity(first: Poses, second: Poses) -> Similarity:
     """Align two worlds by the poses of the same photos, as suits most of them."""
     # Each photo gives a turn, R_second^T R_first.
     turns = np.einsum("nji,njk->nik", second.rotation, first.rotation)
-    turn, agree = _common_turn(turns)
+    between = angle(np.einsum("mji,njk->mnik", turns, turns))
+    near = between <= SAME
+    spread = np.where(near, between, 0.0).sum(1)
+    agree = near[np.lexsort((spread, -near.sum(1)))[0]]
+    left, _, right = np.linalg.svd(turns[agree].mean(0))
+    turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
     return Similarity(turn, *_common_scale(first.centre @ turn.T, second.centre, agree))
 
 
@@ -109,18 +114,6 @@ def angle(rotation: Floats) -> Floats:
     sine = np.sqrt((skew**2).sum((-1, -2)) / 8)
     cosine = (np.trace(rotation, axis1=-2, axis2=-1) - 1) / 2
     return np.asarray(np.degrees(np.arctan2(sine, cosine)))
-
-
-def _common_turn(turns: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
-    """Find the rotation (3, 3) that most of ``turns`` (N, 3, 3) agree on, and which of them do."""
-    between = angle(np.einsum("mji,njk->mnik", turns, turns))
-    near = between <= SAME
-    spread = np.where(near, between, 0.0).sum(1)
-    best = np.lexsort((spread, -near.sum(1)))[0]
-    agree = near[best]
-    left, _, right = np.linalg.svd(turns[agree].mean(0))
-    middle = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
-    return middle, agree
 
 
 def _common_scale(

@@ -53,8 +53,12 @@ def extract(workspace: Workspace, size: int, quick: bool) -> None:
         )
     cv2, limit = sift.opencv("features"), QUICK_FEATURES if quick else MAX_FEATURES
     shrink = min(1.0, FINEST_SIZE / 2 / size)
-    kept = workspace.finished
-    todo = [name for name in workspace.names if not _take_up(workspace, name)]
+    kept, todo = workspace.finished, list[str]()
+    for name in workspace.names:
+        if earlier := kept and kept.features(name):  # another process found them
+            _write(workspace, name, earlier)
+        else:
+            todo.append(name)
     total = len(workspace.names)
 
     def search(name: str) -> sift.Found:
@@ -70,14 +74,6 @@ def extract(workspace: Workspace, size: int, quick: bool) -> None:
                 if kept is not None:
                     kept.keep_features(name, *found)
     workspace.on_progress("features", total, total)
-
-
-def _take_up(workspace: Workspace, name: str) -> bool:
-    """Write the features of a photo into the database if an earlier process found them."""
-    found = workspace.finished and workspace.finished.features(name)
-    if found:
-        _write(workspace, name, found)
-    return bool(found)
 
 
 def _write(workspace: Workspace, name: str, found: sift.Found) -> None:

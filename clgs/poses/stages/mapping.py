@@ -67,7 +67,14 @@ def map_photos(workspace: Workspace, evidence: Evidence, quick: bool) -> ModelCh
     for mapper in asked[:1] if quick or not evidence.pairs else asked:
         found[mapper] = map_by(mapper, workspace, _stage(found))
         choice = _choose(workspace, found, evidence)
-        if choice and not _incomplete(choice):
+        if choice is None:
+            continue
+        # Photos may lack a pose, or contradict it; then another model may be a better one.
+        explained = choice.kept.explained
+        lacking = (explained.explained < 0) & (explained.matches >= STRONG_PAIR)
+        least = min(explained.inlier_ratios().values(), default=0.0)
+        contradicted = explained.contradicted > MAX_CONTRADICTED
+        if not (lacking.any() or contradicted or least < LOW_RATIO):
             break
     if choice is not None:
         return choice
@@ -152,14 +159,6 @@ def _place_again(
 
 def _stage(found: Mapping[str, list[Any]]) -> str:
     return "other poses" if found else "poses"
-
-
-def _incomplete(choice: ModelChoice) -> bool:
-    """Whether photos lack a pose, or contradict it, so that another model may be a better one."""
-    explained = choice.kept.explained
-    lacking = (explained.explained < 0) & (explained.matches >= STRONG_PAIR)
-    least = min(explained.inlier_ratios().values(), default=0.0)
-    return bool(lacking.any()) or explained.contradicted > MAX_CONTRADICTED or least < LOW_RATIO
 
 
 def _choose(

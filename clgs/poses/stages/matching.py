@@ -105,7 +105,15 @@ def _find(
         workspace.on_progress("matches", min(done, len(pairs)), len(pairs))
 
     found = _match(workspace, alike, MAX_RATIO, count, first)
-    thin = _thinly_matched(found)
+    best = defaultdict[int, list[int]](list)
+    for pair, matches in found.items():
+        for place in pair:
+            best[place].append(len(matches))
+    thin = {
+        place
+        for place, counts in best.items()
+        if np.median(sorted(counts, reverse=True)[:LINKS]) < ENOUGH_MATCHES
+    }
     with workspace.open() as database:
         numbers = workspace.ids(database)
         rich = [database.num_keypoints_for_image(one) > first for one in numbers]
@@ -124,19 +132,6 @@ def match_in_full(workspace: Workspace, pairs: Sequence[Pair]) -> None:
     match(workspace, pairs, MAX_DESCRIPTORS)
 
 
-def _thinly_matched(found: Mapping[Pair, Matches]) -> set[int]:
-    """Find the photos whose best pairs have few matches."""
-    best = defaultdict[int, list[int]](list)
-    for pair, matches in found.items():
-        for place in pair:
-            best[place].append(len(matches))
-    return {
-        place
-        for place, counts in best.items()
-        if np.median(sorted(counts, reverse=True)[:LINKS]) < ENOUGH_MATCHES
-    }
-
-
 def pairs_alike(workspace: Workspace, pairs: Sequence[Pair]) -> list[Pair]:
     """Select the pairs whose largest features agree on a turn and a change of scale."""
     device, chosen, shapes = workspace.device, list[Bytes](), list[npt.NDArray[np.float64]]()
@@ -153,7 +148,11 @@ def pairs_alike(workspace: Workspace, pairs: Sequence[Pair]) -> list[Pair]:
         some = pairs[start : start + LOOK_BATCH]
         found = mutual_matches(device, uploaded, chosen, some, MAX_RATIO)
         for (a, b), matches in zip(some, found, strict=True):
-            if _most_alike(shapes[a][matches[:, 0]] - shapes[b][matches[:, 1]]) >= MIN_ALIKE:
+            change = shapes[a][matches[:, 0]] - shapes[b][matches[:, 1]]
+            between = change[:, None] - change
+            turn = np.abs((between[..., 0] + np.pi) % (2 * np.pi) - np.pi)
+            near = (turn <= SAME_TURN) & (np.abs(between[..., 1]) <= SAME_SCALE)
+            if near.sum(1).max(initial=0) >= MIN_ALIKE:  # those that agree with one of them
                 alike.append((a, b))
     return alike
 
@@ -166,14 +165,6 @@ def turn_and_scale(keypoints: npt.NDArray[np.float64]) -> npt.NDArray[np.float64
     first = keypoints[:, [2, 4]]  # of the shape: the scale, turned by the orientation
     scale = np.log2(np.linalg.norm(first, axis=1))
     return np.stack([np.arctan2(first[:, 1], first[:, 0]), scale], 1)
-
-
-def _most_alike(change: npt.NDArray[np.float64]) -> int:
-    """Count the largest number of changes (M, 2) of turn and scale that agree with one of them."""
-    between = change[:, None] - change
-    turn = np.abs((between[..., 0] + np.pi) % (2 * np.pi) - np.pi)
-    near = (turn <= SAME_TURN) & (np.abs(between[..., 1]) <= SAME_SCALE)
-    return int(near.sum(1).max(initial=0))
 
 
 def mutual_matches(

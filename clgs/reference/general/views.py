@@ -157,7 +157,11 @@ def _see(view: UnpackedCamera, mean: Array, covariance: Array, lens: Lens) -> _S
     point = mean @ view.rotation.T + view.translation
     matrix, free = np.zeros((len(point), 2, 3)), np.ones((len(point), 2), bool)
     if lens.model == "fisheye":
-        matrix[:] = view.focal[:, None] * _fisheye_jacobian(point)
+        b, across = _bend(point), point[:, :2]
+        matrix[:, :, :2] = b.factor[:, None, None] * np.eye(2)
+        matrix[:, :, :2] += b.first[:, None, None] * across[:, :, None] * across[:, None, :]
+        matrix[:, :, 2] = -across / np.sum(point**2, axis=1)[:, None]
+        matrix *= view.focal[:, None]
     elif lens.model == "ortho":
         matrix[:, [0, 1], [0, 1]] = view.focal
     else:
@@ -227,17 +231,6 @@ def _bend(point: Array) -> _Bend:
         near = r < NEAR_AXIS * z
     pairs = zip(series, (g, first, second), strict=True)
     return _Bend(*(np.where(near, one, other) for one, other in pairs))
-
-
-def _fisheye_jacobian(point: Array) -> Array:
-    """Derivatives (N, 2, 3) of the picture by the point."""
-    b, across = _bend(point), point[:, :2]
-    square = np.sum(point**2, axis=1)
-    matrix = np.zeros((len(point), 2, 3))
-    matrix[:, :, :2] = b.factor[:, None, None] * np.eye(2)
-    matrix[:, :, :2] += b.first[:, None, None] * across[:, :, None] * across[:, None, :]
-    matrix[:, :, 2] = -across / square[:, None]
-    return matrix
 
 
 def _fisheye_curvature(point: Array) -> Array:

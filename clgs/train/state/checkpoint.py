@@ -64,7 +64,11 @@ def save(folder: Path, arrays: Arrays, scalars: Scalars, digest: str) -> Path:
             if not (is_full(error) and _make_room(folder, step)):
                 raise
             _write(path, arrays, metadata)
-        _clean(folder, path)
+        earlier = [old for old in checkpoints(folder) if old.name < path.name]
+        kept = {path, *earlier[-(KEPT - 1) :]}
+        for old in (*checkpoints(folder), *folder.glob(".step_*.npz")):
+            if old not in kept:
+                old.unlink(missing_ok=True)
     except OSError as error:
         raise ClgsError(
             f"{path}: cannot write the checkpoint ({error.strerror or error}); "
@@ -130,17 +134,16 @@ def _read(path: Path) -> tuple[Arrays, Scalars, str]:
                 f"{path}: checkpoint format {metadata['version']}, this program reads "
                 f"{FORMAT_VERSION}; resume with the program that wrote it"
             )
-        arrays = {name: _member(archive, name) for name in metadata["arrays"]}
+        arrays = {  # read whole first, so that no declared size is trusted
+            name: np.lib.format.read_array(
+                io.BytesIO(archive.read(f"{name}.npy")), allow_pickle=False
+            )
+            for name in metadata["arrays"]
+        }
     for name, array in arrays.items():
         if _description(array) != metadata["arrays"][name]:
             raise ValueError(f"{name} differs from its checksum")
     return arrays, metadata["scalars"], metadata["digest"]
-
-
-def _member(archive: zipfile.ZipFile, name: str) -> npt.NDArray[Any]:
-    """One array; read whole first, so that no declared size is trusted."""
-    data = io.BytesIO(archive.read(f"{name}.npy"))
-    return np.asarray(np.lib.format.read_array(data, allow_pickle=False))
 
 
 def _description(array: npt.NDArray[Any]) -> dict[str, Any]:
@@ -172,12 +175,3 @@ def _is_whole(path: Path) -> bool:
     except (*DAMAGE, DataError):
         return False
     return True
-
-
-def _clean(folder: Path, newest: Path) -> None:
-    """Remove old and abandoned checkpoints and what a killed process left half-written."""
-    earlier = [path for path in checkpoints(folder) if path.name < newest.name]
-    kept = {newest, *earlier[-(KEPT - 1) :]}
-    for path in (*checkpoints(folder), *folder.glob(".step_*.npz")):
-        if path not in kept:
-            path.unlink(missing_ok=True)

@@ -132,7 +132,8 @@ class StepQueue:
     def prepare(self, indices: Sequence[int], step: int) -> None:
         """Have the photos of the steps from number ``step`` on read ahead of them."""
         size, factor = self._config.batch, reduction(self._config, step)
-        dealt: dict[Looks, list[int]] = {looks: [] for looks in self._all_looks()}
+        dealt: dict[Looks, list[int]] = {self._looks: []}
+        dealt |= {other.looks: [] for other in self._others}
         for number, index in enumerate(indices):
             other = self._turns[number % size % len(self._turns)]
             dealt[other.looks if other else self._looks].append(index)
@@ -188,9 +189,6 @@ class StepQueue:
         )
         device.flush()
         return enqueued
-
-    def _all_looks(self) -> list[Looks]:
-        return [self._looks, *(other.looks for other in self._others)]
 
     def _look(
         self, given: StepInput, scene: DeviceScene, exposures: ExposureMaps | None, room: Room

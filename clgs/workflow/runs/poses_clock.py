@@ -50,14 +50,10 @@ class PosesClock:
         if stage in self._found or event.done == first or not enough:
             return
         self._found[stage] = (now - began) * event.total / (event.done - first)
-        taken = self._seconds()
+        # What is not known yet is taken to differ from the plan as what is known.
+        plan = {"features": self._planned.features, "matches": self._planned.matches}
+        planned, known = sum(plan[each] for each in self._found), sum(self._found.values())
+        taken = known / max(planned, 1e-9) * (self._planned.seconds - planned) + known
         if abs(taken - self._said) > OFF * self._said:
             said, self._said = self._said, taken
             self._on_news(said, taken)
-
-    def _seconds(self) -> float:
-        """All seconds, if what is not known yet differs from the plan as what is known."""
-        known = {"features": self._planned.features, "matches": self._planned.matches}
-        planned = sum(known[stage] for stage in self._found)
-        times = sum(self._found.values()) / max(planned, 1e-9)
-        return times * (self._planned.seconds - planned) + sum(self._found.values())
