@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from clgs.data.images import Pixels, open_image
 from clgs.data.lens import resample
@@ -71,14 +72,8 @@ def cut(pixels: Pixels) -> Iterator[Pixels]:
     height, width = channels.shape[:2]
     around = np.concatenate([channels[:, -1:], channels, channels[:, :1]], axis=1)
     size = view_size(width)
-    grid = (np.arange(size) + 0.5) / size * 2 - 1
-    grid *= np.tan(np.radians(VIEW / 2))
-    right, down = (axis.ravel() for axis in np.meshgrid(grid, grid))
     for yaw, pitch in DIRECTIONS:
-        sin, cos = np.sin(np.radians(pitch)), np.cos(np.radians(pitch))
-        ahead, up = cos + sin * down, sin - cos * down
-        longitude = np.arctan2(right, ahead) + np.radians(yaw)
-        latitude = np.arctan2(up, np.hypot(right, ahead))
+        longitude, latitude = _angles(size, yaw, pitch)
         column = np.mod(longitude / (2 * np.pi) + 0.5, 1.0) * width + 0.5
         row = np.clip((0.5 - latitude / np.pi) * height - 0.5, 0, height - 1)
         corner = np.minimum(column.astype(np.int32), width), row.astype(np.int32)
@@ -88,3 +83,15 @@ def cut(pixels: Pixels) -> Iterator[Pixels]:
         view = resample(around, index, weight).reshape(size, size, -1)
         alpha = None if pixels.alpha is None else np.ascontiguousarray(view[..., 3])
         yield Pixels(np.ascontiguousarray(view[..., :3]), alpha)
+
+
+def _angles(
+    size: int, yaw: float, pitch: float
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Longitude and latitude (N,) in radians of a view's pixels, row by row."""
+    grid = (np.arange(size) + 0.5) / size * 2 - 1
+    grid *= np.tan(np.radians(VIEW / 2))
+    right, down = (axis.ravel() for axis in np.meshgrid(grid, grid))
+    sin, cos = np.sin(np.radians(pitch)), np.cos(np.radians(pitch))
+    ahead, up = cos + sin * down, sin - cos * down
+    return np.arctan2(right, ahead) + np.radians(yaw), np.arctan2(up, np.hypot(right, ahead))
