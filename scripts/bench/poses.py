@@ -178,7 +178,11 @@ def judge_subset(args: argparse.Namespace) -> None:
 
 def copy_photos(source: Path, every: int, change: str, target: Path) -> dict[str, bool]:
     """Copy photos, changed; whether each was turned, by its name without suffix."""
+    if every < 1 or not source.is_dir():
+        raise SystemExit(f"{source}: name a folder, and every which of its photos, 1 or more")
     paths = sorted(path for path in source.iterdir() if path.suffix.lower() in (".jpg", ".png"))
+    if not paths[every::every]:
+        raise SystemExit(f"{source}: two photos are needed, .jpg or .png")
     turned = {}
     for number, path in enumerate(paths[::every]):
         with Image.open(path) as photo:
@@ -231,6 +235,8 @@ def count_recalled(args: argparse.Namespace) -> None:
             (place[pair.first], place[pair.second]): len(pair.matches)
             for pair in matching.read_evidence(workspace).pairs
         }
+    if not verified:
+        raise SystemExit(f"{args.photos}: no two photos could be matched")
     missed = sorted(verified[pair] for pair in verified.keys() - passed)
     print(
         f"{len(names)} photos, {len(pairs)} pairs: {len(passed)} pass; of {len(verified)} that are "

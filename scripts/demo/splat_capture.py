@@ -17,6 +17,7 @@ from PIL import Image
 
 import clgs
 from clgs.data.splats.gaussians import load_splats
+from clgs.errors import ClgsError
 
 VIEWS = {"train": 100, "test": 40}
 
@@ -72,12 +73,19 @@ def photograph(splats: Path, folder: Path, up: float) -> None:
 
 
 def main(arguments: list[str]) -> int:
-    """Write the capture; exit code 2 for wrong usage."""
+    """Write the capture; exit code 2 for wrong usage, 3 for what cannot be read or is there."""
     if len(arguments) not in (2, 3) or arguments[2:3] not in ([], ["y"], ["-y"]):
         print("usage: splat_capture.py SPLATS FOLDER [y|-y]", file=sys.stderr)
         return 2
     splats, folder, up = (*arguments, "y")[:3]
-    photograph(Path(splats), Path(folder), UPRIGHT[up])
+    if Path(folder).exists():
+        print(f"{folder}: exists; choose a new folder", file=sys.stderr)
+        return 3
+    try:
+        photograph(Path(splats), Path(folder), UPRIGHT[up])
+    except ClgsError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
     return 0
 
 

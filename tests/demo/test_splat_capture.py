@@ -47,3 +47,13 @@ def test_wrong_words_are_refused(words, capsys):
 
     assert splat_capture.main(words) == 2
     assert "usage" in capsys.readouterr().err
+
+
+def test_what_cannot_be_read_or_is_there_is_named(tmp_path: Path, capsys):
+    import splat_capture
+
+    assert splat_capture.main([str(tmp_path / "none.ply"), str(tmp_path / "new")]) == 3
+    assert splat_capture.main(["a.ply", str(tmp_path)]) == 3
+    assert "none.ply: no such file" in (said := capsys.readouterr().err)
+    assert "choose a new folder" in said
+    assert not (tmp_path / "new").exists()
