@@ -43,6 +43,7 @@ from clgs.poses.workspace import Workspace
 from clgs.scene.camera import Camera
 
 CHANGES = ("none", "tiny", "blur", "light", "turn")
+PHOTOS = (".jpg", ".jpeg", ".png")
 WRONG = 1.0
 """Degrees of turn."""
 
@@ -180,9 +181,9 @@ def copy_photos(source: Path, every: int, change: str, target: Path) -> dict[str
     """Copy photos, changed; whether each was turned, by its name without suffix."""
     if every < 1 or not source.is_dir():
         raise SystemExit(f"{source}: name a folder, and every which of its photos, 1 or more")
-    paths = sorted(path for path in source.iterdir() if path.suffix.lower() in (".jpg", ".png"))
+    paths = sorted(path for path in source.iterdir() if path.suffix.lower() in PHOTOS)
     if not paths[every::every]:
-        raise SystemExit(f"{source}: two photos are needed, .jpg or .png")
+        raise SystemExit(f"{source}: two photos are needed, {' or '.join(PHOTOS)}")
     turned = {}
     for number, path in enumerate(paths[::every]):
         with Image.open(path) as photo:

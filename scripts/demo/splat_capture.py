@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from object_capture import FIELD_OF_VIEW, SIZE, pose
@@ -17,7 +18,7 @@ from PIL import Image
 
 import clgs
 from clgs.data.splats.gaussians import load_splats
-from clgs.errors import ClgsError
+from clgs.errors import ClgsError, DataError
 
 VIEWS = {"train": 100, "test": 40}
 
@@ -37,6 +38,8 @@ def photograph(splats: Path, folder: Path, up: float) -> None:
     """Write the capture; ``up`` is 1 or -1 times the splats' y axis."""
     gaussians = load_splats(splats).gaussians
     least, most = np.quantile(gaussians.mean, [ALMOST_ALL, 1 - ALMOST_ALL], axis=0)
+    if not np.max(most - least) > 0:
+        raise DataError(f"{splats}: its splats have no extent; name a file with more of them")
     scale = EXTENT / np.max(most - least)
     mean = (gaussians.mean - (least + most) / 2) * scale
     kept = (np.abs(mean) < REACH).all(axis=1)
@@ -82,10 +85,12 @@ def main(arguments: list[str]) -> int:
         print(f"{folder}: exists; choose a new folder", file=sys.stderr)
         return 3
     try:
-        photograph(Path(splats), Path(folder), UPRIGHT[up])
-    except ClgsError as error:
+        with TemporaryDirectory(dir=Path(folder).absolute().parent) as unfinished:
+            photograph(Path(splats), Path(unfinished) / "capture", UPRIGHT[up])
+            (Path(unfinished) / "capture").rename(folder)
+    except (ClgsError, OSError) as error:
         print(error, file=sys.stderr)
-        return error.exit_code
+        return 3
     return 0
 
 

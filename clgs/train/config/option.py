@@ -202,7 +202,8 @@ class Option:
             if self.unit == "bytes" and not isinstance(value, int):
                 value = byte_count(text) or value
         elif isinstance(self.allowed, Text) and not text.strip():
-            value = None  # the default, an empty name, cannot be asked for by accident
+            # the default, an empty name, cannot be asked for by accident
+            raise UsageError(f"{self.name}: {text!r} is no name; give {self.wanted}")
         return self.check(value)
 
 
