@@ -76,7 +76,7 @@ def run_child(module: str, task: str, arguments: Any, on_stage: OnStage) -> Any:
             exit_code = child.wait()
             if problem := import_problem("pycolmap"):  # then the data is not at fault
                 raise DataError(f"{task}: pycolmap cannot be loaded ({problem}); install it again")
-            if exit_code == -signal.SIGKILL:
+            if os.name != "nt" and exit_code == -signal.SIGKILL:  # Windows has no such signal
                 raise CrashError(f"{task}: pycolmap was killed; see if there is enough memory")
             raise CrashError(f"{task}: pycolmap crashed (exit code {exit_code}); try other photos")
         except BaseException:

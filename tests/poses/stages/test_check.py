@@ -148,7 +148,7 @@ def kill_the_global_mapper(most):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(os.name == "nt", reason="no such signals")
+@pytest.mark.skipif(os.name == "nt", reason="Windows does not say that a process was killed")
 def test_a_mapper_that_was_killed_next_to_the_other_is_asked_once_more(reconstructed, monkeypatch):
     plain, choice = reconstructed
     monkeypatch.setattr(check, "THREADS", 2)
@@ -177,7 +177,6 @@ def test_a_mapper_that_was_killed_next_to_the_other_is_asked_once_more(reconstru
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(os.name == "nt", reason="no such signals")
 def test_a_model_is_made_again_alone_if_both_were_killed(reconstructed, monkeypatch):
     workspace, _ = reconstructed
     monkeypatch.setattr(reconstruct, "match", lambda *_: False)  # the matches are there
