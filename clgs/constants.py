@@ -31,6 +31,9 @@ TILE_SIZE = 16
 BLUR = 0.3
 """Low-pass term added to the diagonal of every projected covariance, square pixels."""
 
+PIXEL_VARIANCE = 1.0 / 12.0
+"""Variance along an axis of the mean over a pixel, square pixels."""
+
 FRUSTUM_MARGIN = 0.15
 """The Jacobian clamps x/z and y/z this fraction of the image outside of it (1.3 tan(fov/2))."""
 
@@ -66,6 +69,7 @@ def defines() -> dict[str, int | float]:
         "HIDDEN_DIM": HIDDEN_DIM,
         "TILE_SIZE": TILE_SIZE,
         "BLUR": BLUR,
+        "PIXEL_VARIANCE": PIXEL_VARIANCE,
         "ALPHA_MAX": ALPHA_MAX,
         "LOG2_ALPHA_MAX": math.log2(ALPHA_MAX),
         "LOG_SCALE_LIMIT": LOG_SCALE_LIMIT,

@@ -25,6 +25,7 @@ from clgs.codec.container.meta import (
     content_hash,
     join_hashes,
 )
+from clgs.codec.container.phot import pack_phot
 from clgs.codec.container.sections import (
     ANCH,
     BODY,
@@ -35,6 +36,7 @@ from clgs.codec.container.sections import (
     META,
     MLPS,
     OFFS,
+    PHOT,
     SCAL,
     write_container,
 )
@@ -43,6 +45,7 @@ from clgs.errors import CodecError, UsageError
 from clgs.options import MAX_LAYERS
 from clgs.scene.anchors import QuantizedAnchors, take
 from clgs.scene.mlps import MLP_SIZE
+from clgs.scene.photo_range import UNKNOWN
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.world import LOCAL
 from clgs.shapes import Shapes
@@ -131,14 +134,12 @@ def encode(
         *(len(anchors), scene.scales, scene.transform, scene.settings, content),
         *(least, depth, level),
     )
-    transform = scene.transform
-    local = transform.frame == LOCAL
-    geor = {} if local else {GEOR: pack_geor(transform.frame, transform.place)}
+    optional = _optional_sections(scene)
     directory = pack_directory(chunk, position, spans, headers, streams)
     front = {META: meta.pack(), CHNK: directory}
     if layers is None:
         joined = {tag: b"".join([headers[tag], *streams[tag]]) for tag in TAGS}
-        return write_container({**front, **joined, MLPS: packed.result(), **geor})
+        return write_container({**front, **joined, MLPS: packed.result(), **optional})
     listed = [
         Layer(len(cut), content_hash(take(anchors, slice(*layer_ends)), scene.mlps.flat))
         for cut, layer_ends in zip(cuts, pairwise(ends), strict=True)
@@ -146,7 +147,18 @@ def encode(
     body = b"".join(data for parts in zip(*streams.values(), strict=True) for data in parts)
     last = {LAYR: pack_layers(listed), BODY: body}
     shared = {tag: headers[tag] for tag in TAGS}
-    return write_container({**front, **shared, MLPS: packed.result(), **geor, **last})
+    return write_container({**front, **shared, MLPS: packed.result(), **optional, **last})
+
+
+def _optional_sections(scene: QuantizedScene) -> dict[str, bytes]:
+    """What the world and the photos of a scene are, as far as it is known."""
+    transform, photos = scene.transform, scene.settings.photos
+    found = {}
+    if transform.frame != LOCAL:
+        found[GEOR] = pack_geor(transform.frame, transform.place)
+    if photos != UNKNOWN:
+        found[PHOT] = pack_phot(photos)
+    return found
 
 
 def sort_anchors(

@@ -6,15 +6,26 @@ blurred covariance is C = A A^T + BLUR I. Its whitening factor (r1, l, r2) gives
     r1 = 1/sqrt(Cxx),   l = Cxy/Cxx,   r2 = sqrt(Cxx / det C).
 In J, u and v are clamped to the frame grown by FRUSTUM_MARGIN; the backward pass honours the clamp.
 
-Sources: 3DGS (EWA splatting, Zwicker et al. 2001); the whitened form is our own.
+Gaussians learn with BLUR, which is a part of what they show. If they are s times as large on the
+screen as in the photos, they keep that blur, BLUR s^2. If they are smaller, s < 1, a pixel also
+takes the mean over what it covers, and they give the light that they had:
+    C = A A^T + BLUR s^2 I + max(1 - s^2, 0) PIXEL_VARIANCE I
+    opacity' = opacity sqrt(det(A A^T + BLUR s^2 I) / det C)
+:class:`Screen` has the bounds of the photos; training has no such bounds: s = 1.
+
+Sources: 3DGS (EWA splatting, Zwicker et al. 2001); the whitened form is our own; Mip-Splatting (Yu
+et al. 2024), section 4.2, for opacities; SA-GS (Song et al. 2024) for the blur at other sizes, with
+bounds by all photos of our own.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from clgs.constants import BLUR
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.opencl.grid import by_lanes
@@ -23,13 +34,39 @@ from clgs.options import DEFAULT, RenderOptions
 from clgs.shapes import Shapes
 
 
+class Screen(NamedTuple):
+    """What a picture needs to know of the photos from which its Gaussians were learned.
+
+    x, y, z: a point, scene units; nearest, farthest: distances of the photos' cameras from it;
+    enlarged: the focal length (fx) of the picture by that of the photos; all are zero if nothing is
+    known. learned: the blur that Gaussians learned with, square pixels; with 0 that of the screen
+    makes none brighter, as of antialiased splats. blur: that of the screen, square pixels.
+    """
+
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+    nearest: float = 0.0
+    farthest: float = 0.0
+    enlarged: float = 0.0
+    learned: float = BLUR
+    blur: float = BLUR
+
+
+USUAL_SCREEN = Screen()
+"""That of training, and of 3DGS."""
+
+ANTIALIASED = Screen(learned=0.0)
+"""That of splats which learned without a blur."""
+
+
 @dataclass(frozen=True)
 class Projected:
     """N Gaussians on the screen, float32; a culled Gaussian's first four fields are zeros.
 
     mean2d (N, 2) pixels, pixel centres at +0.5; whitening (N, 3) = r1, l, r2; depth (N,) camera z,
     scene units; extent (N, 2) pixels, half-widths of the box outside of which alpha < ALPHA_CUT:
-    a Gaussian is drawn if extent > 0; color (N, 3) and opacity (N,) as in space.
+    a Gaussian is drawn if extent > 0; color (N, 3) as in space; opacity (N,) on the screen.
     """
 
     mean2d: DeviceArray
@@ -58,6 +95,7 @@ def forward(
     gaussians: Gaussians,
     camera: DeviceArray,
     options: RenderOptions = DEFAULT,
+    screen: Screen = USUAL_SCREEN,
 ) -> Projected:
     """Project N Gaussians; ``camera``: (26,) float32 from ``Camera.pack``.
 
@@ -68,7 +106,7 @@ def forward(
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
     count = _check(gaussians, camera)
-    result = allocate(device, gaussians.color, gaussians.opacity)
+    result = allocate(device, gaussians.color, device.empty((count,)))
     device.run(
         device.kernel("gaussian/project", "project_forward", **defines(device, options)),
         *by_lanes(device, count, device.lanes),
@@ -78,16 +116,18 @@ def forward(
         opacity=gaussians.opacity,
         camera=camera,
         count=np.int32(count),
+        screen=np.array(screen, np.float32),
         mean2d=result.mean2d,
         whitening=result.whitening,
         depth=result.depth,
         extent=result.extent,
+        shown=result.opacity,
     )
     return result
 
 
 def allocate(device: Device, color: DeviceArray, opacity: DeviceArray) -> Projected:
-    """Room for the projections of Gaussians with these colors and opacities."""
+    """Room for the projections of Gaussians; ``color`` and ``opacity`` are theirs."""
     count = len(opacity)
     return Projected(
         mean2d=device.empty((count, 2)),
@@ -108,8 +148,8 @@ def backward(
 ) -> GaussianGradients:
     """Gradients of the Gaussians from those of their projections; zero for culled ones.
 
-    ``projected`` is what :func:`forward` made of ``gaussians`` and ``camera``, ``d_projected`` has
-    the gradients by its fields. Those by color and opacity are passed through.
+    ``projected`` is what :func:`forward` made of ``gaussians`` and ``camera`` on the usual screen,
+    ``d_projected`` has the gradients by its fields. Those by color and opacity are passed through.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.

@@ -23,6 +23,7 @@ def forward(
     visible: DeviceArray,
     options: RenderOptions = DEFAULT,
     room: int = scan.EXACT,
+    screen: project.Screen = project.USUAL_SCREEN,
 ) -> tuple[project.Projected, DeviceArray]:
     """What ``project.forward`` makes of what ``neural.forward`` makes of ``mlp.forward``.
 
@@ -32,6 +33,7 @@ def forward(
         visible: (V,) int32, anchor of each sample, each at most once; -1 at the end: no anchor.
         options: accuracy, and the skips ``opacity_first`` and ``slots``.
         room: N; EXACT waits for the device to learn it.
+        screen: as for ``project.forward``.
 
     Returns:
         N Gaussians on the screen in the order of ``neural.forward``, and (1,) int64, how many there
@@ -58,6 +60,7 @@ def forward(
         count=np.int32(len(visible)),
         weights=inputs.weights,
         camera=inputs.camera,
+        screen=np.array(screen, np.float32),
         padded=np.int32(columns),
         offset=anchors.offset,
         scaling=anchors.scaling,

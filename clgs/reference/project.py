@@ -6,12 +6,13 @@ carries a factor: in float64 both agree.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from clgs.constants import ALPHA_CUT, BLUR
+from clgs.constants import ALPHA_CUT, BLUR, PIXEL_VARIANCE
 
 Array = npt.NDArray[np.float64]
 
@@ -75,13 +76,46 @@ def jacobian(view: UnpackedCamera, point: Array) -> tuple[Array, npt.NDArray[np.
     return matrix, clamped == slope
 
 
-def covariance2d(view: UnpackedCamera, mean: Array, scale: Array, rotation: Array) -> Array:
-    """Blurred screen-space covariance (N, 2, 2), square pixels."""
+def blurs(view: UnpackedCamera, mean: Array, screen: Sequence[float]) -> tuple[Array, Array]:
+    """Blur on the screen, and the blur that was learned, (N,) each, square pixels.
+
+    ``screen``: the numbers of ``clgs.ops.project.Screen``.
+    """
+    *point, nearest, farthest, enlarged, learned, blur = screen
+    if enlarged == 0:
+        return np.full(len(mean), float(blur)), np.full(len(mean), float(learned))
+    inside = np.linalg.norm(mean - np.array(point), axis=1)
+    away = np.linalg.norm(mean + view.rotation.T @ view.translation, axis=1)
+    least = np.maximum(nearest - inside, inside - farthest)
+    size = enlarged * np.clip(away, least, farthest + inside) / away
+    pixel = np.maximum(1 - size**2, 0) * PIXEL_VARIANCE
+    return blur * size**2 + pixel, learned * size**2
+
+
+def shown_opacity(
+    gaussians: tuple[Array, Array, Array],
+    opacity: Array,
+    camera: npt.NDArray[np.floating],
+    screen: Sequence[float],
+) -> Array:
+    """Opacities (N,) on the screen, of Gaussians by mean, scale and rotation."""
+    view, mean = unpack(camera), gaussians[0]
+    blur, learned = blurs(view, mean, screen)
+    sharp = np.linalg.det(covariance2d(view, *gaussians, learned))
+    share = np.sqrt(np.maximum(sharp, 0) / np.linalg.det(covariance2d(view, *gaussians, blur)))
+    return np.asarray(opacity * share)
+
+
+def covariance2d(
+    view: UnpackedCamera, mean: Array, scale: Array, rotation: Array, blur: Array | float = BLUR
+) -> Array:
+    """Screen-space covariance (N, 2, 2) blurred by ``blur``, one or (N,), square pixels."""
     point = mean @ view.rotation.T + view.translation
     axes = rotation_matrix(rotation) * scale[:, None, :]
     covariance = axes @ axes.transpose(0, 2, 1)
     transform = jacobian(view, point)[0] @ view.rotation
-    return transform @ covariance @ transform.transpose(0, 2, 1) + BLUR * np.eye(2)
+    sharp = transform @ covariance @ transform.transpose(0, 2, 1)
+    return np.asarray(sharp + np.multiply.outer(blur, np.eye(2)))
 
 
 def forward(
@@ -92,13 +126,18 @@ def forward(
     camera: npt.NDArray[np.floating],
     min_extent: float = 0.0,
     alpha_cut: float = ALPHA_CUT,
+    screen: Sequence[float] | None = None,
 ) -> Projected:
     """Project N Gaussians; shapes as in ``clgs.ops.project.forward``, ``min_extent`` in pixels."""
     view = unpack(camera)
+    blur: Array | float = BLUR
+    if screen is not None:
+        blur = blurs(view, mean, screen)[0]
+        opacity = shown_opacity((mean, scale, rotation), opacity, camera, screen)
     point = mean @ view.rotation.T + view.translation
     with np.errstate(all="ignore"):
         mean2d = view.focal * point[:, :2] / point[:, 2:] + view.centre2d
-        cov = covariance2d(view, mean, scale, rotation)
+        cov = covariance2d(view, mean, scale, rotation, blur)
         xx, xy, yy = cov[:, 0, 0], cov[:, 0, 1], cov[:, 1, 1]
         whitening = np.stack([xx**-0.5, xy / xx, np.sqrt(xx / (xx * yy - xy * xy))], 1)
         reach = np.sqrt(2 * np.log(opacity / alpha_cut))

@@ -15,6 +15,7 @@ from clgs.ops.tiles import TileLists
 from clgs.scene.anchors import DeviceAnchors
 from clgs.scene.camera import Camera
 from clgs.scene.gaussians import DeviceGaussians
+from clgs.scene.photo_range import UNKNOWN, PhotoRange
 from clgs.scene.scene import RenderSettings, Scene, SplatScene
 
 
@@ -39,12 +40,14 @@ Drawable = DeviceScene | DeviceGaussians
 class DeviceView:
     """A camera of ``size`` (width, height) pixels and the color behind the scene.
 
-    camera (26,) float32 from ``Camera.pack``; background (3,) float32.
+    camera (26,) float32 from ``Camera.pack``; background (3,) float32; screen: how it blurs anchors
+    in pictures without a backward pass.
     """
 
     camera: DeviceArray
     size: tuple[int, int]
     background: DeviceArray
+    screen: project.Screen = project.USUAL_SCREEN
 
 
 @dataclass(frozen=True)
@@ -176,4 +179,13 @@ def upload_view(device: Device, camera: Camera, settings: RenderSettings) -> Dev
         device.upload(camera.pack(settings.near)),
         (camera.width, camera.height),
         device.upload(np.array(settings.background, np.float32)),
+        screen_of(camera, settings.photos),
     )
+
+
+def screen_of(camera: Camera, photos: PhotoRange) -> project.Screen:
+    """The screen of ``camera`` for a scene that was learned from ``photos``."""
+    if photos == UNKNOWN:
+        return project.USUAL_SCREEN
+    focal = min(max(camera.fx, photos.least_focal), photos.greatest_focal)
+    return project.Screen(*photos[2:], camera.fx / focal)

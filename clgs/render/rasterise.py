@@ -25,7 +25,7 @@ from clgs.ops import (
     scan,
     tiles,
 )
-from clgs.ops.general import antialias, splats
+from clgs.ops.general import splats
 from clgs.options import DEFAULT, RenderOptions
 from clgs.render import tile_groups
 from clgs.render.frame import (
@@ -89,7 +89,8 @@ def rasterise(
             for the device; :func:`check_room` or :func:`with_enough_room` finds out whether
             everything fitted. A memory budget makes the tile lists as long as they need to be.
         keep: whether to keep what :func:`rasterise_backward` needs. If not, one fused stage takes
-            the place of those from ``mlp`` to ``project``: faster, with the same bits.
+            the place of those from ``mlp`` to ``project``, faster, and anchors are drawn for
+            ``view.screen``; on the usual screen it is the same picture.
         recolor: gives the colors (N, 3) float32 to blend instead of those of the Gaussians; the
             backward pass takes them for those.
 
@@ -103,6 +104,7 @@ def rasterise(
     camera = view.camera
     gaussians: neural.Gaussians | None = None
     frame: tuple[neural.NeuralGaussians, mlp.Activations] | None = None
+    screen = project.USUAL_SCREEN
     if isinstance(scene, DeviceScene):
         inputs = mlp.Inputs(scene.anchors, scene.weights, camera)
         with device.stage("cull"):
@@ -116,20 +118,19 @@ def rasterise(
         else:
             with device.stage("project anchors"):
                 projected, total = project_anchors.forward(
-                    device, inputs, visible.anchor, options, room.gaussians
+                    device, inputs, visible.anchor, options, room.gaussians, view.screen
                 )
         totals = visible.total, total
     else:
         with device.stage("splats forward"):
             gaussians = splats.forward(device, scene, camera)
         if scene.antialiased:
-            with device.stage("antialias"):
-                gaussians = antialias.forward(device, gaussians, camera)
+            screen = project.ANTIALIASED
         total = device.upload(np.array([len(scene)], np.int64))
         totals = total, total
     if gaussians is not None:
         with device.stage("project forward"):
-            projected = project.forward(device, gaussians, camera, options)
+            projected = project.forward(device, gaussians, camera, options, screen)
     if recolor is not None:
         projected = replace(projected, color=recolor(projected))
 

@@ -12,6 +12,7 @@ from clgs import constants
 from clgs.scene.anchors import AnchorSet, QuantizationScales, QuantizedAnchors, dequantize
 from clgs.scene.gaussians import HostGaussians
 from clgs.scene.mlps import Mlps
+from clgs.scene.photo_range import UNKNOWN, PhotoRange
 from clgs.scene.world import LOCAL, NOWHERE, Place, is_world
 
 MIN_Q = 2.0**-64
@@ -52,7 +53,8 @@ IDENTITY = SceneTransform()
 class RenderSettings:
     """What a render depends on, except anchors, MLPs and camera; stored in the file header.
 
-    background: RGB in [0, 1]; near: scene units; the others as in ``clgs.constants``.
+    background: RGB in [0, 1]; near: scene units; photos: those that the scene was learned from; the
+    others as in ``clgs.constants``.
     """
 
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -61,6 +63,11 @@ class RenderSettings:
     alpha_max: float = constants.ALPHA_MAX
     transmittance_stop: float = constants.TRANSMITTANCE_STOP
     blur: float = constants.BLUR
+    photos: PhotoRange = UNKNOWN
+
+    def __post_init__(self) -> None:
+        """Numbers of a file are taken for a PhotoRange."""
+        object.__setattr__(self, "photos", PhotoRange(*self.photos))
 
 
 @dataclass
@@ -148,6 +155,8 @@ def check_ranges(
         ("transmittance_stop", stop, 0 <= stop < 1),
         ("blur", settings.blur, 0 <= settings.blur <= 2.0**64),
     ]
+    if problem := settings.photos.problem():
+        raise ValueError(f"photos: {problem}")
     for name, value, valid in rules:
         if not (math.isfinite(value) and valid):
             raise ValueError(f"{name} is {value!r}")

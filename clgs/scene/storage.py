@@ -22,7 +22,6 @@ from clgs.files import atomic_write, check_declared
 from clgs.scene.anchors import FIELDS, Anchors, QuantizationScales
 from clgs.scene.mlps import MLP_SIZE, Mlps
 from clgs.scene.scene import QuantizedScene, RenderSettings, SceneTransform, check_ranges
-from clgs.scene.world import LOCAL
 from clgs.shapes import Shapes
 
 GROUPS: dict[str, Any] = {
@@ -37,8 +36,8 @@ ARRAY_NAMES = (
 )
 """What a reader needs; ``world_position`` is for others."""
 
-LATER = "transform.frame", "transform.place"
-"""Fields that archives of LOCAL scenes lack, as older ones do."""
+LATER = "transform.frame", "transform.place", "settings.photos"
+"""Fields that archives lack if they say nothing, as older ones do."""
 
 DAMAGE = (
     *(ValueError, TypeError, KeyError, AttributeError, OSError, EOFError, MemoryError),
@@ -73,7 +72,7 @@ def save_scene(path: Path | str, scene: QuantizedScene) -> None:
     arrays["mlps"] = scene.mlps.flat
     for group in GROUPS:
         for name, value in asdict(getattr(scene, group)).items():
-            if f"{group}.{name}" in LATER and scene.transform.frame == LOCAL:
+            if f"{group}.{name}" in LATER and value == getattr(GROUPS[group], name):
                 continue
             arrays[f"{group}.{name}"] = np.array(value, np.float64)
     arrays["world_position"] = scene.world_position()

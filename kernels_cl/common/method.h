@@ -16,5 +16,8 @@
 #ifndef BLUR
 #define BLUR 0.3f
 #endif
+#ifndef PIXEL_VARIANCE
+#define PIXEL_VARIANCE 0.0833333333f
+#endif
 
 #endif

@@ -12,41 +12,37 @@
 #include "common/camera.h"
 #include "common/items.h"
 #include "common/lane_math.h"
+#include "common/method.h"
 #include "common/real.h"
 #include "common/rows.h"
 #include "gaussian/factor_gradient.h"
 #include "gaussian/projected_gaussians.h"
 #include "gaussian/projection.h"
+#include "gaussian/screen.h"
 
-/* The projection of `used` Gaussians from number `first` on. */
-static inline Projection load_projection(__global const float *mean, __global const float *scale,
-                                         const fv quaternion[4], __global const float *camera,
-                                         const size_t first, const size_t used)
-{
-    fv position[3], size[3];
-    load_rows3(scale, first, used, size);
-    load_rows3(mean, first, used, position);
-    return make_projection(position, size, quaternion, camera);
-}
-
-/* A culled Gaussian gets extent 0 and zeros elsewhere. */
+/* A culled Gaussian gets extent 0 and zeros elsewhere; shown: the opacities on the screen. */
 __kernel void project_forward(__global const float *mean, __global const float *scale,
                               __global const float *rotation, __global const float *opacity,
-                              __global const float *camera, const int count, __global float *mean2d,
-                              __global float *whitening, __global float *depth,
-                              __global float *extent)
+                              __global const float *camera, const int count, const float8 screen,
+                              __global float *mean2d, __global float *whitening,
+                              __global float *depth, __global float *extent, __global float *shown)
 {
     const size_t first = item_from_middle() * VEC;
     if (first >= (size_t)count)
         return;
     const size_t used = min((size_t)VEC, (size_t)count - first);
-    fv quaternion[4], opaque;
+    fv position[3], size[3], quaternion[4], opaque;
+    load_rows3(mean, first, used, position);
+    load_rows3(scale, first, used, size);
     load_rows4(rotation, first, used, quaternion);
     load_rows1(opacity, first, used, &opaque);
-    const Projection p = load_projection(mean, scale, quaternion, camera, first, used);
+    const Blurs blurs = blurs_of(screen, position, camera);
+    const Projection p = make_projection(position, size, quaternion, camera, blurs.blur);
+    opaque *= kept_share(&p, blurs.blur, blurs.learned);
     const ProjectedGaussians projected = project_gaussians(&p, quaternion, opaque, camera);
     const ProjectedArrays out = {mean2d, whitening, depth, extent};
     store_projected(&projected, &out, first, used);
+    store_rows1(&opaque, shown, first, used);
 }
 
 /* dL/d(quaternion) from the factor. */
@@ -86,7 +82,8 @@ static inline void mean_gradient(const Projection *p, const fv d_mean2d[2], cons
         d_mean[column] = along_camera(camera, column, d_point);
 }
 
-/* Gradients of the Gaussians from those of their projections; zero for culled ones. */
+/* Gradients of the Gaussians from those of their projections on the screen of training; zero for
+ * culled ones. */
 __kernel void project_backward(__global const float *mean, __global const float *scale,
                                __global const float *rotation, __global const float *camera,
                                const int count, __global const float *whitening,
@@ -99,13 +96,15 @@ __kernel void project_backward(__global const float *mean, __global const float 
         return;
     const size_t used = min((size_t)VEC, (size_t)count - item);
     fv box[2], quaternion[4], factor[3], d_factor[3], d_centre[2], d_a[3], d_b[3];
-    fv d_position[3], d_size[3], d_quaternion[4];
+    fv position[3], size[3], d_position[3], d_size[3], d_quaternion[4];
+    load_rows3(mean, item, used, position);
+    load_rows3(scale, item, used, size);
     load_rows2(extent, item, used, box);
     load_rows4(rotation, item, used, quaternion);
     load_rows3(whitening, item, used, factor);
     load_rows3(d_whitening, item, used, d_factor);
     load_rows2(d_mean2d, item, used, d_centre);
-    const Projection p = load_projection(mean, scale, quaternion, camera, item, used);
+    const Projection p = make_projection(position, size, quaternion, camera, (fv)(BLUR));
     factor_gradient(&p, factor, d_factor, d_a, d_b, d_size);
     rotation_gradient(&p, quaternion, d_a, d_b, camera, d_quaternion);
     mean_gradient(&p, d_centre, d_a, d_b, d_size[0] + d_size[1] + d_size[2], camera, d_position);

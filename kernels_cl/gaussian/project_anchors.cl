@@ -11,10 +11,12 @@
 #include "common/lanes.h"
 #include "common/method.h"
 #include "common/real.h"
+#include "common/rows.h"
 #include "gaussian/drawn_slots.h"
 #include "gaussian/output_rows.h"
 #include "gaussian/projected_gaussians.h"
 #include "gaussian/projection.h"
+#include "gaussian/screen.h"
 #include "gaussian/shapes.h"
 #include "gaussian/visible_anchors.h"
 #define OUTPUT_SPACE ROW_SPACE
@@ -33,7 +35,8 @@ typedef struct {
 /* Writes the Gaussians of the drawn slots, at least one, of the visible anchors from v on. */
 static inline void write_projected(const VisibleAnchors *anchors, const DrawnSlots *drawn,
                                    const size_t v, const OutputRows *rows,
-                                   __global const float *camera, const BlendInputs *out)
+                                   __global const float *camera, const float8 screen,
+                                   const BlendInputs *out)
 {
     const AnchorLanes a = load_anchors(anchors->visible, anchors->scaling, v, anchors->count);
     Shapes shapes;
@@ -46,18 +49,20 @@ static inline void write_projected(const VisibleAnchors *anchors, const DrawnSlo
 #pragma unroll
         for (int i = 0; i < 3; ++i)
             out->color[3 * n + i] = sample[(COLOR_ROW + 3 * j + i) * rows->stride];
-        out->opacity[n] = opaque[m] = sample[j * rows->stride];
+        opaque[m] = sample[j * rows->stride];
     }
     for (size_t m = 0; m < DRAWN(drawn); m += VEC) {
         fv centre[3], scale[3], rotation[4];
         for (int i = 0; i < 3; ++i)
             centre[i] = LOAD_V(0, mean[i] + m);
         load_shapes(&shapes, m, scale, rotation);
-        const Projection p = make_projection(centre, scale, rotation, camera);
-        const ProjectedGaussians projected =
-            project_gaussians(&p, rotation, LOAD_V(0, opaque + m), camera);
-        store_projected(&projected, &out->projected, drawn->first + m,
-                        min((size_t)VEC, DRAWN(drawn) - m));
+        const Blurs blurs = blurs_of(screen, centre, camera);
+        const Projection p = make_projection(centre, scale, rotation, camera, blurs.blur);
+        const fv shown = LOAD_V(0, opaque + m) * kept_share(&p, blurs.blur, blurs.learned);
+        const ProjectedGaussians projected = project_gaussians(&p, rotation, shown, camera);
+        const size_t first = drawn->first + m, used = min((size_t)VEC, DRAWN(drawn) - m);
+        store_projected(&projected, &out->projected, first, used);
+        store_rows1(&shown, out->opacity, first, used);
     }
 }
 
@@ -65,11 +70,11 @@ static inline void write_projected(const VisibleAnchors *anchors, const DrawnSlo
  * The Gaussians of sample v get the numbers from numbers[v] on, one for each bit of bits[v]. */
 __kernel void project_anchors_forward(
     __global const float *feature, __global const float *position, __global const int *visible,
-    const int count, __global const float *weights, __global const float *camera, const int padded,
-    __global const float *offset, __global const float *scaling, __global const int *numbers,
-    __global const int *bits, const int capacity, __global float *output, __global float *mean2d,
-    __global float *whitening, __global float *depth, __global float *extent, __global float *color,
-    __global float *opacity)
+    const int count, __global const float *weights, __global const float *camera,
+    const float8 screen, const int padded, __global const float *offset,
+    __global const float *scaling, __global const int *numbers, __global const int *bits,
+    const int capacity, __global float *output, __global float *mean2d, __global float *whitening,
+    __global float *depth, __global float *extent, __global float *color, __global float *opacity)
 {
     const size_t first = item_from_middle() * BLOCK, stride = (size_t)padded;
     if (first >= (size_t)count)
@@ -109,7 +114,7 @@ __kernel void project_anchors_forward(
         DrawnSlots drawn;
         while (next_slots(&coming, &drawn))
             if (drawn.count != 0)
-                write_projected(&anchors, &drawn, v, &rows, camera, &out);
+                write_projected(&anchors, &drawn, v, &rows, camera, screen, &out);
     }
 }
 

@@ -5,7 +5,6 @@
 #include "common/camera.h"
 #include "common/camera_space.h"
 #include "common/lane_math.h"
-#include "common/method.h"
 #include "common/own_function.h"
 #include "common/real.h"
 
@@ -27,7 +26,7 @@ typedef struct {
     fv cov_xy;
     fv cov_yy;
     fv det;  /* by unit^4 */
-    fv blur; /* BLUR by unit^2 */
+    fv blur; /* by unit^2 */
 } Projection;
 
 /* Column `column` of the camera's rotation along p: sum of p[row] times its rows. */
@@ -94,7 +93,7 @@ static inline void choose_unit(Projection *p)
 }
 
 /* The 2x3 factor, the covariance and its determinant. */
-static inline void project_covariance(Projection *p)
+static inline void project_covariance(Projection *p, const fv blur)
 {
     fv stretch_x[3], stretch_y[3], ray[3]; /* ray: (u, v, 1) in the Gaussian's axes */
     for (int k = 0; k < 3; ++k) {
@@ -114,7 +113,7 @@ static inline void project_covariance(Projection *p)
     }
     for (int k = 0; k < 3; ++k)
         p->minor[k] = stretch_x[(k + 1) % 3] * stretch_y[(k + 2) % 3] * ray[k];
-    p->blur = BLUR * p->on_unit * p->on_unit;
+    p->blur = blur * p->on_unit * p->on_unit;
     const fv xx = dot3(p->a, p->a), yy = dot3(p->b, p->b);
     p->cov_xx = xx + p->blur;
     p->cov_xy = dot3(p->a, p->b);
@@ -122,17 +121,28 @@ static inline void project_covariance(Projection *p)
     p->det = fma(p->blur, xx + yy + p->blur, dot3(p->minor, p->minor));
 }
 
-/* The projection of Gaussians given by lanes. */
+/* Share of its opacity with which a Gaussian, blurred by `blur`, gives as much light as by
+ * `learned`, square pixels. Determinants are sums of positive terms: they keep their digits for
+ * needles. */
+static inline fv kept_share(const Projection *p, const fv blur, const fv learned)
+{
+    const fv other = learned * p->on_unit * p->on_unit;
+    const fv sizes = dot3(p->a, p->a) + dot3(p->b, p->b);
+    const fv share = sqrt(fma(other, sizes + other, dot3(p->minor, p->minor)) / p->det);
+    return blur == learned ? (fv)(1.0f) : share;
+}
+
+/* The projection of Gaussians given by lanes. blur: square pixels. */
 static inline OWN_FUNCTION Projection make_projection(const fv mean[3], const fv scale[3],
                                                       const fv quaternion[4],
-                                                      __global const float *camera)
+                                                      __global const float *camera, const fv blur)
 {
     Projection p;
     for (int i = 0; i < 3; ++i)
         p.scale[i] = scale[i];
     project_mean(&p, mean, camera);
     turn_axes(&p, quaternion, camera);
-    project_covariance(&p);
+    project_covariance(&p, blur);
     return p;
 }
 

@@ -22,6 +22,7 @@ from clgs.errors import ClgsError
 from clgs.exports import page
 from clgs.lab.anchor_scene import square_camera
 from clgs.render.renderer import render_view
+from clgs.scene.photo_range import PhotoRange
 from clgs.scene.scene import IDENTITY
 from clgs.train.quality.metrics import to_8bit
 from tests.data.splats.test_gaussians import columns_of
@@ -91,6 +92,28 @@ def test_the_page_shows_what_the_renderer_shows(browser, scene, tmp_path):
     found = show(browser, camera)
     assert wanted.std() > 20
     assert 10 * np.log10(255**2 / np.mean((found - wanted) ** 2)) >= LEAST_PSNR
+    assert browser.errors == []
+
+
+@pytest.mark.parametrize("case", ["enlarged", "reduced", "near", "far"])
+def test_scenes_are_shown_at_other_sizes_as_we_draw_them(browser, tmp_path, case):
+    """The bounds of the photos make this camera show the scene larger or smaller than they did."""
+    quantized, camera = quantized_scene(3000, SIZE)
+    focal = camera.fx * {"enlarged": 1 / 3, "reduced": 4.0}.get(case, 1.0)
+    away = {"near": (9.0, 9.5), "far": (0.2, 0.3)}.get(case, (0.0, 99.0))
+    photos = PhotoRange(focal, focal, 0.1, 0.2, -0.1, *away)
+    changed = replace(quantized, settings=replace(quantized.settings, photos=photos))
+    file = tmp_path / "scene.html"
+    file.write_bytes(page.scene_page(encode(changed), "scene"))
+    browser.open(file, 2 * SIZE, 2 * SIZE)
+    browser.wait("window.clgs && clgs.state()", lambda s: s and (s["ready"] or s["failed"]))
+    found = show(browser, camera)
+    wanted, usual = (
+        to_8bit(render_view(one.dequantize(), camera)).astype(np.float64)
+        for one in (changed, quantized)
+    )
+    assert 10 * np.log10(255**2 / np.mean((found - wanted) ** 2)) >= LEAST_PSNR
+    assert 10 * np.log10(255**2 / np.mean((found - usual) ** 2)) <= LEAST_PSNR - 5
     assert browser.errors == []
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import ctypes
 import re
 import shutil
+import struct
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,6 +21,8 @@ from clgs.data.splats.integer_splats import read_splats
 from clgs.data.splats.table import PlyTable, pack_ply
 from clgs.reference import mlp, neural
 from clgs.reference.project import rotation_matrix
+from clgs.scene.photo_range import UNKNOWN, PhotoRange
+from tests.codec.container.damage import rebuilt
 from tests.codec.scenes import random_scene
 from tests.data.splats.test_gaussians import columns_of
 from tests.ops.cases.splats import stored
@@ -131,9 +135,10 @@ def test_the_page_places_splats_as_the_reader_does(library, tmp_path, times, pla
     data = splat_packing.pack(read_splats(path, {})[0])
     scene = scene_of_packed(splat_packing.unpack(data), path)
     page = native.Page(library, data)
-    _, near, *_, antialiased, x, y, z = page.array("numbers", ctypes.c_double, 13)
+    _, near, *_, learned, x, y, z = page.array("numbers", ctypes.c_double, 13)
     assert near == pytest.approx(scene.settings.near, rel=0.01)
-    assert antialiased == scene.gaussians.antialiased == marked
+    assert scene.gaussians.antialiased == marked
+    assert learned == (0 if marked else constants.BLUR)
     assert np.abs(np.array([x, y, z]) - scene.transform.centre).max() < 0.1 * times
     assert np.array([x, y, z]).any() == np.any(place)
     position = page.array("positions", ctypes.c_float, 4500).reshape(-1, 3)
@@ -251,6 +256,29 @@ def test_damaged_files_are_refused_in_words(library, kind):
     for size in rng.integers(0, front, 100).tolist():
         with pytest.raises(ValueError, match=r"copy|no \.clgs file"):
             native.Page(library, data[:size])
+
+
+PHOTOS = PhotoRange(300.0, 310.5, 0.25, -1.0, 2.0, 3.0, 4.5)
+
+
+@pytest.mark.parametrize("layers", [None, 2])
+@pytest.mark.parametrize("photos", [UNKNOWN, PHOTOS])
+def test_it_knows_the_photos_that_the_file_names(library, layers, photos):
+    scene = random_scene(np.random.default_rng(4), 300)
+    scene.settings = replace(scene.settings, photos=photos)
+    page = native.Page(library, encode(scene, layers=layers))
+    numbers = page.array("numbers", ctypes.c_double, 20)
+    assert tuple(numbers[13:]) == tuple(photos)
+    assert numbers[9] == scene.settings.blur
+
+
+@pytest.mark.parametrize("wrong", [{"x": np.nan}, {"nearest": -1.0}, {"least_focal": 311.0}])
+def test_photos_that_cannot_be_are_refused(library, wrong):
+    scene = random_scene(np.random.default_rng(4), 300)
+    scene.settings = replace(scene.settings, photos=PHOTOS)
+    numbers = struct.pack("<7d", *PHOTOS._replace(**wrong))
+    with pytest.raises(ValueError, match="out of range"):
+        native.Page(library, rebuilt(encode(scene), PHOT=numbers))
 
 
 def test_it_has_the_constants_of_the_method():

@@ -5,7 +5,8 @@ const TEXELS = 3; // of a Gaussian's record: 12 words
 const COLUMNS = 512; // Gaussians per row of the textures
 
 // Projects as clgs/reference/project.py does: the covariance with the Jacobian at slopes
-// within limits, blurred; whitened offsets y with alpha = opacity exp(-|y|^2 / 2).
+// within limits, blurred as the size by that in the photos asks for (photos: a point, and the
+// distance of the nearest camera from it); whitened offsets y with alpha = opacity exp(-|y|^2 / 2).
 const VERTEX = `#version 300 es
 precision highp float;
 precision highp int;
@@ -14,7 +15,8 @@ uniform mat3 rotation;
 uniform vec3 translation;
 uniform vec2 focal, principal, size;
 uniform vec4 limits;
-uniform float blur, alphaCut, near, antialiased;
+uniform vec4 photos;
+uniform float farthest, enlarged, learned, blur, alphaCut, near;
 out vec2 y;
 flat out vec4 color;
 void main() {
@@ -24,7 +26,7 @@ void main() {
   uvec4 first = texelFetch(records, at, 0);
   uvec4 second = texelFetch(records, at + ivec2(1, 0), 0);
   uvec4 third = texelFetch(records, at + ivec2(2, 0), 0);
-  vec3 p = rotation * uintBitsToFloat(first.xyz) + translation;
+  vec3 position = uintBitsToFloat(first.xyz), p = rotation * position + translation;
   float opacity = uintBitsToFloat(first.w);
   vec4 c = uintBitsToFloat(second);
   vec2 d = uintBitsToFloat(third.xy);
@@ -37,11 +39,20 @@ void main() {
   vec3 b = focal.y / p.z * (rows[1] - inside.y * rows[2]);
   vec3 onA = covariance * a;
   float xx = dot(a, onA), xy = dot(b, onA), yy = dot(b, covariance * b);
-  float least = blur * (xx + yy + blur); // what blurring alone makes of the determinant
-  xx += blur;
-  yy += blur;
+  float square = 1.0;
+  if (enlarged > 0.0) {
+    float away = length(p), inside = distance(position, photos.xyz);
+    float nearest = max(photos.w - inside, inside - farthest);
+    float ratio = enlarged * max(nearest, min(away, farthest + inside)) / away;
+    square = ratio * ratio;
+  }
+  float wide = blur * square + max(1.0 - square, 0.0) / 12.0, own = learned * square;
+  float least = wide * (xx + yy + wide); // what blurring alone makes of the determinant
+  float kept = own * (xx + yy + own);
+  xx += wide;
+  yy += wide;
   float determinant = max(xx * yy - xy * xy, least);
-  if (antialiased > 0.0) opacity *= sqrt(max(determinant - least, 0.0) / determinant);
+  if (own < wide) opacity *= sqrt((max(determinant - least, 0.0) + kept) / determinant);
   if (!(opacity >= alphaCut)) return;
   color = vec4(unpackHalf2x16(third.z), uintBitsToFloat(third.w), opacity);
   float reach = sqrt(2.0 * log(opacity / alphaCut));
@@ -219,9 +230,14 @@ class Renderer {
     gl.uniform4f(uniforms.limits, (-marginX - view.cx) / view.fx,
       (view.width + marginX - view.cx) / view.fx, (-marginY - view.cy) / view.fy,
       (view.height + marginY - view.cy) / view.fy);
-    for (const name of ["blur", "near", "alphaCut", "alphaMax", "antialiased"]) {
+    for (const name of ["blur", "near", "alphaCut", "alphaMax", "learned"]) {
       gl.uniform1f(uniforms[name], scene[name]);
     }
+    const [least, greatest, x, y, z, nearest, farthest] = scene.photos;
+    gl.uniform4f(uniforms.photos, x, y, z, nearest);
+    gl.uniform1f(uniforms.farthest, farthest);
+    gl.uniform1f(uniforms.enlarged,
+      least > 0 ? view.fx / Math.min(Math.max(view.fx, least), greatest) : 0);
     gl.uniform1i(uniforms.order, 1);
     gl.activeTexture(gl.TEXTURE1);
     gl.bindTexture(gl.TEXTURE_2D, this.order.texture);

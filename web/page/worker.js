@@ -44,11 +44,11 @@ function hex(at, splats) {
 
 function facts() {
   const [items, near, alphaCut, alphaMax, blur, ...rest] =
-    copy(Float64Array, code.page_numbers(), 13);
+    copy(Float64Array, code.page_numbers(), 20);
   const hashes = code.page_hashes();
   return {
     items, near, alphaCut, alphaMax, blur, background: rest.slice(0, 3), splats: rest[3],
-    antialiased: rest[4], origin: [...rest.slice(5, 8)],
+    learned: rest[4], origin: [...rest.slice(5, 8)], photos: [...rest.slice(8)],
     hash: hex(hashes, rest[3]), expectedHash: hex(hashes + 8, rest[3]),
     positions: copy(Float32Array, code.page_positions(), 3 * items),
     layers: code.page_layers(0), ready: code.page_layers(1),

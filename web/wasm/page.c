@@ -16,6 +16,7 @@
 #endif
 
 #define PREPARED 4096 /* anchors per step */
+#define PHOTO_NUMBERS 7
 
 /* Where the numbers of page_numbers lie. */
 enum {
@@ -26,9 +27,10 @@ enum {
     BLUR,
     BACKGROUND,
     SPLATS = 8,
-    ANTIALIASED,
+    LEARNED,
     ORIGIN,
-    NUMBERS = ORIGIN + 3
+    PHOTOS = ORIGIN + 3,
+    NUMBERS = PHOTOS + PHOTO_NUMBERS
 };
 
 /* Of splats, whose files do not say them: the constants of the method, clgs/constants.py. */
@@ -90,7 +92,25 @@ static int read_numbers(const uint8_t *meta)
             return 0;
         page.number[FIELDS[i].to] = value;
     }
+    page.number[LEARNED] = page.number[BLUR];
     return 1;
+}
+
+/* The bounds of the photos, if the file has them; whether they are in range. */
+static int read_photos(span photos)
+{
+    double *number = page.number + PHOTOS;
+    if (photos.size == 0)
+        return 1;
+    if (photos.size != 8 * PHOTO_NUMBERS)
+        return 0;
+    for (size_t i = 0; i < PHOTO_NUMBERS; i++) {
+        number[i] = load_double(photos.data + 8 * i);
+        if (!(number[i] >= -0x1p64 && number[i] <= 0x1p64))
+            return 0;
+    }
+    return number[0] >= 0x1p-64 && number[0] <= number[1] && 0 <= number[5] &&
+           number[5] <= number[6];
 }
 
 /* How many steps of those bytes that are there. */
@@ -136,7 +156,7 @@ static problem open_anchors(void)
     problem wrong = anchors_open(&page.sections, &page.anchor);
     if (wrong)
         return wrong;
-    if (!read_numbers(page.sections.section[META].data))
+    if (!read_numbers(page.sections.section[META].data) || !read_photos(page.sections.photos))
         return "a setting of the file is out of range; encode it again";
     wrong = neural_open(&page.anchor, &page.neural);
     return wrong ? wrong : gaussians_open(OFFSETS * page.anchor.list.anchors, &page.all);
@@ -167,7 +187,7 @@ static problem step_of_splats(void)
     if (wrong || --page.decoding > 0)
         return wrong;
     page.number[NEAR] = page.splat.near;
-    page.number[ANTIALIASED] = page.splat.keeps_light;
+    page.number[LEARNED] = page.splat.keeps_light ? 0 : BLUR_OF_SPLATS;
     memcpy(page.number + ORIGIN, page.splat.origin, sizeof page.splat.origin);
     page.items = page.splat.count;
     return NULL;
@@ -203,7 +223,8 @@ int EXPORT(page_step)(void)
 }
 
 /* ITEMS, NEAR, ALPHA_CUT, ALPHA_MAX, BLUR, BACKGROUND (3), SPLATS: whether it is made of them,
- * ANTIALIASED, ORIGIN (3): what positions are relative to. */
+ * LEARNED: the blur that they learned with, ORIGIN (3): what positions are relative to, PHOTOS (7):
+ * those of section PHOT, or zeros. */
 const double *EXPORT(page_numbers)(void)
 {
     return page.number;

@@ -18,6 +18,7 @@ from clgs.codec.container.chunks import HEAD_SIZE, TAGS, ByteRange, Chunk
 from clgs.codec.container.geor import unpack_geor
 from clgs.codec.container.layers import Layer, unpack_layers
 from clgs.codec.container.meta import SCALING_DIM, unpack_meta
+from clgs.codec.container.phot import unpack_phot
 from clgs.codec.container.sections import (
     ANCH,
     BODY,
@@ -28,6 +29,7 @@ from clgs.codec.container.sections import (
     META,
     MLPS,
     OFFS,
+    PHOT,
     SCAL,
     RandomAccess,
     Section,
@@ -66,6 +68,10 @@ class SceneReader:
             frame, place = guarded(geor, unpack_geor)
             transform = replace(self.meta.transform, frame=frame, place=place)
             self.meta = replace(self.meta, transform=transform)
+        if PHOT in table.entries:
+            photos = guarded(sections.read_section(source, table.entries[PHOT]), unpack_phot)
+            settings = replace(self.meta.settings, photos=photos)
+            self.meta = replace(self.meta, settings=settings)
         part = self._read(CHNK, ByteRange(0, min(HEAD_SIZE, table.entries[CHNK].length)))
         rest = self._read(CHNK, ByteRange(HEAD_SIZE, guarded(part, chunks.head_size) - HEAD_SIZE))
         part = Section(CHNK, part.offset, memoryview(b"".join([part.data, rest.data])))

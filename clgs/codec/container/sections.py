@@ -22,8 +22,9 @@ META, CHNK, ANCH, OFFS, FEAT, SCAL, MLPS = "META", "CHNK", "ANCH", "OFFS", "FEAT
 SCENE = (META, CHNK, ANCH, OFFS, FEAT, SCAL, MLPS)
 """The required sections of a file that holds a scene, in file order."""
 
-GEOR = "GEOR"
-"""A section that a file of a scene may have, after the required ones."""
+GEOR, PHOT = "GEOR", "PHOT"
+OPTIONAL = (GEOR, PHOT)
+"""Sections that a file of a scene may have after the required ones; a reader may skip them."""
 
 LAYR, BODY = "LAYR", "BODY"
 """Sections that a file in layers has after all others: its layers, and the bytes of all chunks."""
@@ -32,8 +33,9 @@ SPLT, SPOS, SMUL, SATR = "SPLT", "SPOS", "SMUL", "SATR"
 SPLATS = (SPLT, SPOS, SMUL, SATR)
 """The required sections of a file that holds splats in place of a scene."""
 
-MAJOR, MINOR, MINOR_WITH_GEOR, MINOR_WITH_LAYERS = 1, 0, 1, 2
-"""The versions that are written. Every minor version of this major one can be read."""
+MAJOR = 1
+MINOR_WITH = {GEOR: 1, LAYR: 2, PHOT: 3}
+"""The version that is written is 1.0, or the highest 1.n of its sections; any 1.n is read."""
 
 REQUIRED = 1
 """Flag of a section that a reader must understand."""
@@ -143,14 +145,13 @@ def damage(where: str, what: str) -> CodecError:
 
 
 def write_container(contents: dict[str, bytes]) -> bytes:
-    """The file that holds ``contents`` (tag to bytes, all required but GEOR), in this order."""
-    minor = MINOR_WITH_GEOR if GEOR in contents else MINOR
-    minor = MINOR_WITH_LAYERS if LAYR in contents else minor
+    """The file that holds ``contents``, tag to bytes, in this order."""
+    minor = max(MINOR_WITH.get(tag, 0) for tag in contents)
     offset = _HEAD.size + len(contents) * _ENTRY.size + _CRC.size
     header = _HEAD.pack(MAGIC, MAJOR, minor, len(contents))
     for tag, data in contents.items():
         crc = _codec.crc32c(data)
-        flags = 0 if tag == GEOR else REQUIRED
+        flags = 0 if tag in OPTIONAL else REQUIRED
         header += _ENTRY.pack(tag.encode("ascii"), flags, offset, len(data), crc, 0)
         offset += len(data)
     return b"".join([header, _CRC.pack(_codec.crc32c(header)), *contents.values()])
@@ -171,7 +172,7 @@ def read_container(data: bytes, splats: bool = False) -> tuple[SectionTable, dic
         for tag, entry in table.entries.items()
         if entry.offset + entry.length <= source.size
     }
-    known = SPLATS if splats else (*SCENE, GEOR, LAYR, BODY)
+    known = SPLATS if splats else (*SCENE, *OPTIONAL, LAYR, BODY)
     return table, {tag: sections[tag] for tag in known if tag in sections}
 
 

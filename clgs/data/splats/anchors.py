@@ -27,7 +27,6 @@ from clgs.quantities import plain_float
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
 from clgs.scene.scene import MIN_Q, QuantizedScene, RenderSettings, SceneTransform, check_ranges
 from clgs.scene.storage import LATER
-from clgs.scene.world import LOCAL
 
 POSITION, NORMAL = ["x", "y", "z"], ["nx", "ny", "nz"]
 OFFSET = [f"f_offset_{i}" for i in range(3 * K_OFFSETS)]
@@ -93,7 +92,7 @@ def pack_scaffold(scene: QuantizedScene, quantized: bool) -> bytes:
         f"{COMMENT} {group}.{name} {' '.join(repr(float(x)) for x in np.atleast_1d(value))}"
         for group in _GROUPS
         for name, value in asdict(getattr(scene, group)).items()
-        if f"{group}.{name}" not in LATER or scene.transform.frame != LOCAL
+        if f"{group}.{name}" not in LATER or value != getattr(_GROUPS[group], name)
     ]
     return pack_ply(PlyTable(blocks, comments))
 

@@ -29,7 +29,7 @@ from clgs.ops import (
     quantize,
     tiles,
 )
-from clgs.ops.general import antialias, splats, views
+from clgs.ops.general import splats, views
 from clgs.options import DEFAULT, RenderOptions, Skips
 from clgs.render import channel_picture, tile_groups
 from clgs.render.frame import Room, upload_scene, upload_view
@@ -45,6 +45,13 @@ ROWS = 300
 
 FISHEYE_COLORS = 34
 """Two launches, the first with as many colors as fit."""
+
+SCREENS = {
+    "antialias": project.ANTIALIASED,
+    "enlarge": project.Screen(0.25, 0.0, -0.5, 8.0, 9.0, 1.5),
+    "reduce": project.Screen(0.25, 0.0, -0.5, 0.5, 1.0, 0.375),
+}
+"""Screens that blur in another way than that of training."""
 
 
 def training_tensors(device: Device) -> Iterator[Tensor]:
@@ -188,8 +195,9 @@ def file_tensors(device: Device, one: ConformanceScene) -> Iterator[Tensor]:
     assert frame.gaussians is not None
     yield from named(device, "splats forward", frame.gaussians, "scale", "rotation", "color")
     yield "splats forward", "opacity", device.download(frame.gaussians.opacity)
-    softer = antialias.forward(device, frame.gaussians, view.camera)
-    yield "antialias", "opacity", device.download(softer.opacity)
+    for name, screen in SCREENS.items():
+        seen = project.forward(device, frame.gaussians, view.camera, screen=screen)
+        yield from named(device, name, seen, "whitening", "extent", "opacity")
     d_image = device.upload(random.floats(frame.image.shape, -1.0, 1.0))
     d_projected = blend.backward(device, frame.projected, frame.blended, d_image)
     d = project.backward(device, frame.gaussians, view.camera, frame.projected, d_projected)

@@ -25,9 +25,8 @@ from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import loss as loss_op
 from clgs.ops import mlp, project, project_anchors
-from clgs.ops.general import antialias
 from clgs.reference import cull, loss, tiles
-from clgs.reference.general import antialias as antialias_reference
+from clgs.reference import project as reference_project
 from clgs.render.frame import DeviceScene, Frame, SceneGradients, upload_scene, upload_view
 from clgs.render.rasterise import rasterise, rasterise_backward
 from clgs.scene.scene import RenderSettings, Scene
@@ -35,6 +34,9 @@ from clgs.scene.scene import RenderSettings, Scene
 SEED = 11
 VOLUME_WEIGHT = 0.01
 LEVEL = 1 / 255
+
+ELSEWHERE = project.Screen(0.0, 0.0, 0.0, 5.0, 5.2, 0.8)
+"""On it some Gaussians are larger and some are smaller than in the photos."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ class _Run:
     uploaded: DeviceScene
     frame: Frame
     at_once: project.Projected
-    compensated: DeviceArray
+    elsewhere: project.Projected
     photo: np.ndarray[tuple[int, ...], np.dtype[np.uint8]]
     d_image: DeviceArray
     gradients: SceneGradients
@@ -115,15 +117,17 @@ def _run(device: Device, case: Case) -> _Run:
         inputs = mlp.Inputs(uploaded.anchors, uploaded.weights, frame.view.camera)
         with device.stage("project_anchors"):
             at_once, _ = project_anchors.forward(device, inputs, frame.activations.visible)
-        with device.stage("antialias"):
-            compensated = antialias.forward(device, frame.gaussians, frame.view.camera).opacity
+        with device.stage("project elsewhere"):
+            elsewhere = project.forward(
+                device, frame.gaussians, frame.view.camera, screen=ELSEWHERE
+            )
         with device.stage("loss"):
             compared = loss_op.forward(device, frame.image, target)
             d_image = loss_op.backward(device, frame.image, target, compared)
         gradients = rasterise_backward(device, uploaded, frame, d_image, VOLUME_WEIGHT)
     device.profile.enabled = False
     reference = render_reference(device, scene, frame, d_image)
-    drawn = frame, at_once, compensated
+    drawn = frame, at_once, elsewhere
     return _Run(device, scene, uploaded, *drawn, photo, d_image, gradients, reference)
 
 
@@ -177,12 +181,15 @@ def check_project_anchors(run: _Run) -> Found:
     return [("what is on the screen", max(errors.values()), 1e-5)]
 
 
-def check_antialias(run: _Run) -> Found:
-    """Opacities that keep the light of small Gaussians."""
-    one = run.reference.gaussians
+def check_elsewhere(run: _Run) -> Found:
+    """Gaussians on a screen for which some of them are too near and some too far."""
+    one, camera = run.reference.gaussians, run.reference.camera
     shape = one.mean, one.scale, one.rotation
-    wanted = antialias_reference.forward(*shape, one.opacity, run.reference.camera)
-    return [("opacity", relative_l2(run.device.download(run.compensated), wanted), 1e-5)]
+    wanted = reference_project.forward(*shape, one.opacity, camera, screen=ELSEWHERE)
+    errors = relative_errors(run.device, run.elsewhere, wanted, ("whitening", "extent"))
+    shown = reference_project.shown_opacity(shape, one.opacity, camera, ELSEWHERE)
+    error = relative_l2(run.device.download(run.elsewhere.opacity), shown)
+    return [("what is on the screen", max(*errors.values(), error), 1e-5)]
 
 
 def check_tiles(run: _Run) -> Found:
@@ -242,7 +249,7 @@ FORWARD_CHECKS: dict[str, Callable[[_Run], Found]] = {
     "neural forward": check_neural,
     "project forward": check_project,
     "project_anchors": check_project_anchors,
-    "antialias": check_antialias,
+    "project elsewhere": check_elsewhere,
     "tiles": check_tiles,
     "blend forward": check_blend,
     "loss": check_loss,

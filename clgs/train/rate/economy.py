@@ -109,6 +109,7 @@ class Economy:
     ) -> None:
         """Decide when there are rounds; ``config`` is resolved for the dataset."""
         self._device, self._dataset, self._config = device, dataset, config
+        self._settings = render_settings(config, dataset.train)
         self._rounding = rounding
         last = min(config.freeze_step, config.steps - 1)
         last = max(config.switch_step, last)
@@ -189,7 +190,7 @@ class Economy:
 
         ``drawn``: the weights of the MLPs that pictures are drawn with.
         """
-        device, config, settings = self._device, self._config, render_settings(self._config)
+        device, config, settings = self._device, self._config, self._settings
         anchors = state.parameters.scene.anchors.map(device.download)
         now = Situation(anchors, judged, state.rate.scales)
         weights = Mlps(device.download(self._rounding.final_weights(state)))

@@ -20,7 +20,7 @@ from clgs.render.frame import EXACT_ROOM, Frame
 from clgs.render.renderer import Renderer
 from clgs.scene.anchors import quantize
 from clgs.scene.mlps import Mlps
-from clgs.scene.scene import QuantizedScene, RenderSettings
+from clgs.scene.scene import QuantizedScene
 from clgs.train.config import TrainConfig
 from clgs.train.config.settings import BACKGROUNDS
 from clgs.train.density.grow_and_prune import (
@@ -106,6 +106,7 @@ class Trainer:
             )
         self.device, self.dataset, self.config = device, dataset, config
         self.state = state or first_state(device, dataset, config)
+        self.settings = render_settings(config, dataset.train)
         self.rounding = Rounding(device, config)
         self.queue = StepQueue(device, dataset, config, self.rounding, others)
         self.economy = Economy(device, dataset, config, self.rounding)
@@ -123,11 +124,6 @@ class Trainer:
     def steps_done(self) -> int:
         """The number of the last step done."""
         return self.state.step
-
-    @property
-    def settings(self) -> RenderSettings:
-        """How finished renders are made: a random background becomes black."""
-        return render_settings(self.config)
 
     @property
     def options(self) -> RenderOptions:

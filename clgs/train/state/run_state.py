@@ -7,17 +7,20 @@ a checkpoint saves it. Nothing else that changes during a run has an effect on i
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from clgs.data.view import View
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import adam, exposure
 from clgs.ops.rate import Rate
 from clgs.scene.anchors import AnchorSet, QuantizationScales
 from clgs.scene.mlps import Mlps
+from clgs.scene.photo_range import photo_range
 from clgs.scene.scene import RenderSettings
 from clgs.train.config import TrainConfig
 from clgs.train.config.settings import BACKGROUNDS, PAPER_Q
@@ -178,7 +181,8 @@ def new_exposures(device: Device, config: TrainConfig, photos: int) -> ExposureM
     return ExposureMaps(maps, adam.zero_moments(device, maps))
 
 
-def render_settings(config: TrainConfig) -> RenderSettings:
-    """How finished renders are made: a random background becomes black."""
+def render_settings(config: TrainConfig, views: Sequence[View] = ()) -> RenderSettings:
+    """How renders of a scene that learns from ``views`` are made: no background is random."""
     background = BACKGROUNDS.get(config.background, BACKGROUNDS["black"])
-    return RenderSettings(background=background, near=config.near)
+    photos = photo_range([view.camera for view in views])
+    return RenderSettings(background=background, near=config.near, photos=photos)

@@ -24,6 +24,8 @@ static const uint32_t SPLAT_TAGS[] = {
     TAG('S', 'A', 'T', 'R'),
 };
 
+#define PHOT TAG('P', 'H', 'O', 'T')
+
 double load_double(const uint8_t *at)
 {
     uint64_t bits = clgs_load64(at);
@@ -67,6 +69,8 @@ static problem read_entries(span file, uint32_t count, container *result)
         }
         if (next)
             result->section[found++] = section;
+        else if (!result->splats && clgs_load32(entry) == PHOT)
+            result->photos = section;
         else if (clgs_load32(entry + 4) & 1)
             return "the file needs a newer page; export it with a newer clgs";
     }

@@ -27,6 +27,7 @@ typedef struct container {
     int splats; /* whether it holds splats in place of a scene */
     int layers; /* whether it has LAYR and BODY */
     span section[SECTIONS];
+    span photos;             /* PHOT, empty if there is none */
     size_t begin, body_size; /* where BODY begins, and its bytes when all have come */
 } container;
 
