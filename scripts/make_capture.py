@@ -20,11 +20,14 @@ VIEWS = {"train": 12, "test": 3}
 
 
 def main(arguments: list[str]) -> int:
-    """Write the capture; exit code 2 for wrong usage."""
+    """Write the capture; exit code 2 for wrong usage, 3 for a folder that is there."""
     if len(arguments) != 1 or arguments[0].startswith("-"):
         print("usage: make_capture.py FOLDER", file=sys.stderr)
         return 2
     folder = Path(arguments[0])
+    if folder.exists():
+        print(f"make_capture: {folder} exists already; name a new folder", file=sys.stderr)
+        return 3
     for split, count in VIEWS.items():
         (folder / split).mkdir(parents=True)
         frames = []

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from clgs.codec.contribution import contribution
 from clgs.opencl.device import Device
+from clgs.scene.photo_range import photo_range
 from clgs.scene.scene import QuantizedScene
 from clgs.train.quality.rate_control import (
     MAX_VIEWS,
@@ -89,6 +90,21 @@ def encode_within(
         assert target_size is not None
         found = reduce_to_size(scene, target_size, encode, judge)
     return FittedScene(found, len(chosen), len(every))
+
+
+def with_photos(
+    path: Path, scene: QuantizedScene, views: ViewOptions, on_event: OnEvent = ignore
+) -> QuantizedScene:
+    """A scene of an older version, with the photos that ``views`` names in its settings.
+
+    They must have the size at which the scene was trained.
+
+    Raises:
+        DataError: the data set is damaged, or that of another scene.
+    """
+    every = select_views(path, scene, replace(views, split="train"), on_event)
+    photos = photo_range([view.camera for view in every])
+    return replace(scene, settings=replace(scene.settings, photos=photos))
 
 
 def importance_in_views(

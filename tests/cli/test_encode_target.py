@@ -8,8 +8,12 @@ import pytest
 
 from clgs.cli.commands.encode import size
 from clgs.cli.main import main
+from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode
-from clgs.scene.storage import save_scene
+from clgs.data.dataset import load_dataset
+from clgs.data.origin import repose
+from clgs.scene.photo_range import photo_range
+from clgs.scene.storage import load_scene, save_scene
 from tests.codec.scenes import random_scene
 from tests.data.folders import write_transforms
 
@@ -38,7 +42,6 @@ def test_sizes():
 def test_options_must_fit_each_other(scene, target, capsys):
     for options in (
         ["--target-psnr", "30"],
-        ["--data", "."],
         ["--target-size", "10"],
         ["--mlps", "x.npz"],
         ["--all-views"],
@@ -104,6 +107,28 @@ def test_an_interrupted_run_leaves_nothing(scene, target, tmp_path, monkeypatch)
     assert len(trials) == 3
     assert target.read_bytes() == b"before"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["s.clgs", "s.npz"]
+
+
+def test_an_older_file_learns_of_its_photos(scene, target, tmp_path, capsys):
+    data = tmp_path / "data"
+    write_transforms(data, 16)
+    command = ["encode", scene, "-o", str(target), "--data", str(data), "--downscale", "2"]
+    assert main(command) == 0
+    found = decode(target.read_bytes())
+    shown = repose(load_dataset(data, downscale=2, load_images=False), found.transform)
+    assert found.settings.photos == photo_range([view.camera for view in shown.train])
+    old = encode(load_scene(scene))
+    assert describe(target.read_bytes())["content_hash"] == describe(old)["content_hash"]
+    capsys.readouterr()
+    command[1:4] = [str(target), "-o", str(tmp_path / "again.clgs")]
+    assert main(command) == 2
+    assert "knows its photos; give a target or --layers, too" in capsys.readouterr().err
+    assert main([*command, "--layers", "2"]) == 0
+    assert decode((tmp_path / "again.clgs").read_bytes()).settings == found.settings
+    capsys.readouterr()
+    assert main(["encode", scene, "-o", str(tmp_path / "no.clgs"), "--data", str(data / "x")]) == 3
+    assert capsys.readouterr().err.endswith("x: no such folder; check the path\n")
+    assert not (tmp_path / "no.clgs").exists()
 
 
 @pytest.mark.slow

@@ -48,6 +48,8 @@ coarser scene, the first one with about a tenth of the bytes. Anchors come in th
 importance: opacity times area in training views (--data, or the data set that RUN names), or else
 from all around. 4 layers with their chunks of 1024 anchors cost 1 % of the bytes. To meet a target
 too, encode to the target first, and that file in layers.
+--data alone: a file of an older version learns of its photos, so that it is drawn right at other
+sizes than theirs; --downscale or --max-size say at which size they were trained on.
 --mlp: float32 keeps the weights of the MLPs as floats, auto packs them as integers if training
 has rounded them; the same weights come back either way.
 
@@ -117,6 +119,7 @@ def run(args: argparse.Namespace) -> int:
     from clgs.errors import UsageError
     from clgs.files import atomic_write
     from clgs.scene.anchors import QuantizationScales
+    from clgs.scene.photo_range import UNKNOWN
     from clgs.workflow.outputs import check_new, check_suffix
     from clgs.workflow.scenes import read_scene, run_folder
 
@@ -126,10 +129,10 @@ def run(args: argparse.Namespace) -> int:
     check_new(args.output, args.overwrite, path, mlps)
     check_suffix(args.output, ".clgs")
     target = args.target_size is not None or args.target_psnr is not None
-    _check_together(args.all_views, args.data, target, args.layers)
+    _check_together(args.all_views, target, args.layers)
     views = view_options(vars(args))
-    if target or args.layers:  # imports much that a plain encode does not need
-        from clgs.workflow.encode import encode_within, importance_in_views
+    if target or args.layers or args.data:  # imports much that a plain encode does not need
+        from clgs.workflow.encode import encode_within, importance_in_views, with_photos
         from clgs.workflow.views import data_of, known_data
     if (target or args.layers) and views.data is None:
         needed = args.target_psnr is not None or args.all_views
@@ -140,6 +143,11 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"{path}: --mlps and --q are for a PLY file; leave them out")
     else:
         scene, _ = read_scene(path)
+    if args.data and scene.settings.photos == UNKNOWN:
+        with Display() as display:
+            scene = with_photos(path, scene, views, display)
+    elif args.data and not (target or args.layers):
+        raise UsageError(f"--data: {path} knows its photos; give a target or --layers, too")
 
     def pack(scene: QuantizedScene, importance: npt.NDArray[np.float64] | None = None) -> bytes:
         options = args.level, args.chunk, args.threads, args.mlp, args.layers
@@ -162,14 +170,12 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _check_together(all_views: bool, data: Path | None, target: bool, layers: int | None) -> None:
+def _check_together(all_views: bool, target: bool, layers: int | None) -> None:
     """Raise UsageError if an option has no use, or does not go with another."""
     from clgs.errors import UsageError
 
     if all_views and not target:
         raise UsageError("--all-views serves --target-size and --target-psnr; give one of them")
-    if data is not None and not (target or layers):
-        raise UsageError("--data serves --target-size, --target-psnr and --layers; give one")
     if target and layers:
         raise UsageError("--layers and a target: encode to the target, then that file in layers")
 

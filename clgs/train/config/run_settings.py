@@ -107,8 +107,8 @@ class RunSettings:
         "",
         "the MLPs to start from; trained: on another scene, shipped; objects: those with 40 of "
         "50 features, smaller files of single objects; random: as PyTorch (code); or those of a "
-        "scene: its .clgs or .npz file",
-        Text("trained, objects, random or the name of a file"),
+        "scene: its run folder, .clgs or .npz file",
+        Text("trained, objects, random or the name of a scene"),
         open_default="objects in Blender scenes, trained among photos",
     )
     box: str = option(

@@ -108,7 +108,7 @@ def state_of_run(device: Device, dataset: Dataset, config: TrainConfig, folder: 
 
 
 def start_mlps(name: str, rng: np.random.Generator) -> Mlps:
-    """The MLPs called ``name``: TRAINED, OBJECTS, RANDOM, or a scene's .clgs or .npz file.
+    """The MLPs called ``name``: TRAINED, OBJECTS, RANDOM, or those of a run folder, a .clgs or a .npz file.
 
     Raises:
         DataError: the file cannot be read, or is no scene.
@@ -122,6 +122,7 @@ def start_mlps(name: str, rng: np.random.Generator) -> Mlps:
     if name == RANDOM:
         return init_mlps(rng)
     path = Path(name)
+    path = path / "scene.clgs" if path.is_dir() else path
     if path.suffix.lower() == ".npz":
         return load_scene(path).mlps
     if path.suffix.lower() != ".clgs":

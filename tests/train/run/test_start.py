@@ -57,13 +57,15 @@ def test_features_that_networks_for_objects_do_not_read_stay_zero(dataset, cpu):
     assert not trained[:, LIVE:].any()
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".clgs"])
+@pytest.mark.parametrize("suffix", [".npz", ".clgs", ""])
 def test_those_of_a_scene(tmp_path, suffix):
     scene, path = random_scene(rng()), tmp_path / f"scene{suffix}"
     if suffix == ".npz":
         save_scene(path, scene)
     else:
-        path.write_bytes(encode(scene))
+        file = path if suffix else path / "scene.clgs"
+        file.parent.mkdir(exist_ok=True)
+        file.write_bytes(encode(scene))
     np.testing.assert_allclose(start_mlps(str(path), rng()).flat, scene.mlps.flat, atol=0.02)
 
 
