@@ -12,6 +12,7 @@ from clgs.data.lens import Lens, undistort_lens
 from clgs.data.posed_photo import Photo
 from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, named
 from clgs.errors import DataError
+from clgs.scene.camera import optical_axes
 
 Floats = npt.NDArray[np.float64]
 
@@ -169,12 +170,10 @@ def _tipped(photos: list[Photo]) -> npt.NDArray[np.bool_]:
 def _looks_away(photos: list[Photo], centres: Floats) -> npt.NDArray[np.bool_]:
     """Which cameras (N,) look away from the point nearest to all axes, if most look at it."""
     axes = np.array([photo.rotation[2] for photo in photos])
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    total = across.sum(axis=0)
-    if np.linalg.eigvalsh(total)[0] < 1e-3 * len(photos):
+    matrix, right = optical_axes(centres, axes)
+    if np.linalg.eigvalsh(matrix)[0] < 1e-3:
         return np.zeros(len(photos), bool)
-    focus = np.linalg.solve(total, np.einsum("nij,nj->i", across, centres))
-    towards = focus - centres
+    towards = np.linalg.solve(matrix, right) - centres
     cosine = np.sum(towards * axes, axis=1) / np.maximum(np.linalg.norm(towards, axis=1), 1e-300)
     angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
     return np.asarray((angle > AWAY) & (np.median(angle) < INWARD))

@@ -20,7 +20,7 @@ import numpy as np
 from clgs import constants
 from clgs.errors import ClgsError
 from clgs.files import text_bytes
-from clgs.scene.camera import Camera
+from clgs.scene.camera import Camera, optical_axes
 
 SCRIPTS = ("camera.js", "hands.js", "renderer.js", "main.js")
 """The files that are one script, in this order."""
@@ -77,14 +77,10 @@ def start_at(first: Camera, cameras: Sequence[Camera]) -> Start:
     The target lies on the axis of ``first``, where it comes nearest to the axes of all.
     """
     up = -np.mean([camera.rotation[1] for camera in cameras], axis=0)
-    away = float(np.linalg.norm(first.centre - np.mean([c.centre for c in cameras], axis=0)))
-    # the point with the least squared distances from the cameras' axes
-    matrix, right = 1e-6 * np.eye(3), np.zeros(3)
-    for camera in cameras:
-        across = np.eye(3) - np.outer(camera.rotation[2], camera.rotation[2])
-        matrix += across
-        right += across @ camera.centre
-    meeting, forward = np.linalg.solve(matrix, right), first.rotation[2]
+    centres = np.array([camera.centre for camera in cameras])
+    away = float(np.linalg.norm(first.centre - centres.mean(axis=0)))
+    matrix, right = optical_axes(centres, np.array([camera.rotation[2] for camera in cameras]))
+    meeting, forward = np.linalg.solve(matrix + 1e-6 * np.eye(3), right), first.rotation[2]
     depth = max(float((meeting - first.centre) @ forward), LEAST_DISTANCE * away, 1e-3)
     side = max(first.width / first.fx, first.height / first.fy)
     return Start(

@@ -106,6 +106,18 @@ class Camera:
         ).astype(np.float32)
 
 
+def optical_axes(
+    centres: npt.NDArray[np.float64], forward: npt.NDArray[np.float64]
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """The matrix (3, 3) and the right side (3,) whose solution is the point nearest to all axes.
+
+    ``centres`` (N, 3) and unit ``forward`` (N, 3) of cameras. The least eigenvalue of the matrix is
+    0 if all axes are parallel, and 2/3 if they come from everywhere.
+    """
+    across = np.eye(3) - forward[:, :, None] * forward[:, None, :]
+    return across.mean(axis=0), np.einsum("nij,nj->i", across, centres) / len(centres)
+
+
 def _problem(camera: Camera) -> str:
     """What is wrong with the fields, and what they should be; empty if nothing is."""
     sizes = camera.width, camera.height

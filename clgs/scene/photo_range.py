@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from clgs.scene.camera import Camera
+from clgs.scene.camera import Camera, optical_axes
 
 SLACK = 0.01
 """Share by which the distances are widened: cameras next to those of the photos count as theirs."""
@@ -53,10 +53,8 @@ def photo_range(cameras: Sequence[Camera]) -> PhotoRange:
         return UNKNOWN
     centres = np.array([camera.centre for camera in cameras])
     forward = np.array([camera.rotation[2] for camera in cameras])
-    across = np.eye(3) - forward[:, :, None] * forward[:, None, :]
-    pull = PULL * np.eye(3)
-    wanted = np.einsum("nij,nj->i", across, centres) / len(centres) + pull @ centres.mean(axis=0)
-    point = np.linalg.solve(across.mean(axis=0) + pull, wanted)
+    matrix, right = optical_axes(centres, forward)
+    point = np.linalg.solve(matrix + PULL * np.eye(3), right + PULL * centres.mean(axis=0))
     distance = np.linalg.norm(centres - point, axis=1)
     focal = [camera.fx for camera in cameras]
     reach = distance.min() * (1 - SLACK), distance.max() * (1 + SLACK)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from clgs.scene.camera import Camera
+from clgs.scene.camera import Camera, optical_axes
 from clgs.scene.scene import QuantizedScene, SplatScene
 
 Vector = npt.NDArray[np.float64]
@@ -176,11 +176,10 @@ def common_up(cameras: Sequence[Camera]) -> Vector:
 
 def _meeting_point(centres: Vector, forward: Vector) -> Vector | None:
     """The point (3,) nearest to all optical axes; None if they do not meet before the cameras."""
-    across = np.eye(3) - forward[:, :, None] * forward[:, None, :]
-    matrix = across.mean(axis=0)
+    matrix, right = optical_axes(centres, forward)
     if np.linalg.eigvalsh(matrix)[0] < PARALLEL:
         return None
-    point = np.linalg.solve(matrix, np.einsum("nij,nj->i", across, centres) / len(centres))
+    point = np.linalg.solve(matrix, right)
     ahead = np.sum((point - centres) * forward, axis=1) > 0
     return np.asarray(point) if ahead.mean() > 0.5 else None
 
