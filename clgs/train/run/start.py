@@ -108,7 +108,7 @@ def state_of_run(device: Device, dataset: Dataset, config: TrainConfig, folder: 
 
 
 def start_mlps(name: str, rng: np.random.Generator) -> Mlps:
-    """The MLPs called ``name``: TRAINED, OBJECTS, RANDOM, or those of a run folder or a scene's file.
+    """The MLPs called ``name``: TRAINED, OBJECTS, RANDOM, or those of a run or a scene's file.
 
     Raises:
         DataError: the file cannot be read, or is no scene.
