@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from clgs.bake.fit import Observation, fit, observe
 from clgs.bake.refine import Target, refine
-from clgs.constants import ALPHA_CUT, K_OFFSETS
+from clgs.constants import ALPHA_CUT, BLUR, K_OFFSETS
 from clgs.data.dataset import RADIUS_MARGIN
 from clgs.data.masks import Mask
 from clgs.errors import DataError
@@ -29,6 +29,9 @@ FIT_VIEWS = 64
 ORDER_BITS = 16
 """Bits of a coordinate in the order of the Gaussians."""
 
+WIDENED = 0.3
+"""Mic at 200x200 is 0.6 and 0.4 dB worse after refinement with none and with all of the blur."""
+
 SEED = 0
 
 Planes = npt.NDArray[np.uint8]
@@ -36,10 +39,14 @@ Planes = npt.NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class BakeSettings:
-    """degree: of the spherical harmonics, 0 to 3; steps: of refinement, 0 for none."""
+    """degree: of the spherical harmonics, 0 to 3; steps: of refinement, 0 for none.
+
+    antialiased: whether the Gaussians are for viewers that draw such ones (Mip-Splatting).
+    """
 
     degree: int = 3
     steps: int = 500
+    antialiased: bool = False
 
 
 @dataclass(frozen=True)
@@ -92,8 +99,18 @@ def bake(
     distance = np.linalg.norm(centres - centres.mean(axis=0), axis=1).max()
     radius = RADIUS_MARGIN * float(distance) or 1.0
     pictures = _pictures(device, scene, views, options)
+    if settings.antialiased:
+        fitted = _antialiased(fitted, [view.camera for view in views])
     refined = refine(device, fitted, pictures, settings.steps, radius, options, on_step)
     return in_order(without_faint(refined))
+
+
+def _antialiased(fitted: HostGaussians, cameras: Sequence[Camera]) -> HostGaussians:
+    """Antialiased ones to begin with, wider by WIDENED of the blur that was learned with."""
+    pixel = [np.linalg.norm(fitted.mean - one.centre, axis=1) / one.fx for one in cameras]
+    blur = WIDENED * BLUR * np.stack(pixel, axis=1).mean(axis=1, keepdims=True) ** 2
+    log_scale = 0.5 * np.log(np.exp(2 * fitted.log_scale) + blur)
+    return replace(fitted, log_scale=log_scale.astype(np.float32), antialiased=True)
 
 
 def count_steps(views: int, settings: BakeSettings) -> int:

@@ -145,11 +145,13 @@ def backward(
     camera: DeviceArray,
     projected: Projected,
     d_projected: ProjectedGradients,
+    antialiased: bool = False,
 ) -> GaussianGradients:
     """Gradients of the Gaussians from those of their projections; zero for culled ones.
 
     ``projected`` is what :func:`forward` made of ``gaussians`` and ``camera`` on the usual screen,
-    ``d_projected`` has the gradients by its fields. Those by color and opacity are passed through.
+    or on that of ``antialiased`` ones; ``d_projected`` has the gradients by its fields. Those by
+    color are passed through.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
@@ -158,12 +160,13 @@ def backward(
     shapes = Shapes(N=count)
     shapes.check("d_mean2d", d_projected.d_mean2d, "N 2", np.float32)
     shapes.check("d_whitening", d_projected.d_whitening, "N 3", np.float32)
+    shapes.check("d_opacity", d_projected.d_opacity, "N", np.float32)
     result = GaussianGradients(
         d_mean=device.empty((count, 3)),
         d_scale=device.empty((count, 3)),
         d_rotation=device.empty((count, 4)),
         d_color=d_projected.d_color,
-        d_opacity=d_projected.d_opacity,
+        d_opacity=device.empty((count,)),
     )
     device.run(
         device.kernel("gaussian/project", "project_backward", VEC=device.lanes),
@@ -173,13 +176,17 @@ def backward(
         rotation=gaussians.rotation,
         camera=camera,
         count=np.int32(count),
+        antialiased=np.int32(antialiased),
+        opacity=gaussians.opacity,
         whitening=projected.whitening,
         extent=projected.extent,
         d_mean2d=d_projected.d_mean2d,
         d_whitening=d_projected.d_whitening,
+        d_shown=d_projected.d_opacity,
         d_mean=result.d_mean,
         d_scale=result.d_scale,
         d_rotation=result.d_rotation,
+        d_opacity=result.d_opacity,
     )
     return result
 

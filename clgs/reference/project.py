@@ -162,8 +162,13 @@ def backward(
     projected: Projected,
     d_mean2d: Array,
     d_whitening: Array,
+    d_share: Array | None = None,
 ) -> tuple[Array, Array, Array]:
-    """d_mean (N, 3), d_scale (N, 3), d_rotation (N, 4); shapes as in ``clgs.ops.project``."""
+    """d_mean (N, 3), d_scale (N, 3), d_rotation (N, 4); shapes as in ``clgs.ops.project``.
+
+    d_share (N,): of antialiased Gaussians, the gradient by the logarithm of the share of opacity
+    that they keep, which is the gradient by ``shown_opacity`` times that.
+    """
     mean, scale, rotation = gaussians
     drawn = projected.extent[:, 0] > 0
     result = np.zeros_like(mean), np.zeros_like(scale), np.zeros_like(rotation)
@@ -172,6 +177,7 @@ def backward(
         unpack(camera),
         d_mean2d[drawn],
         d_whitening[drawn],
+        np.zeros(int(drawn.sum())) if d_share is None else d_share[drawn],
     )
     for whole, part in zip(result, parts, strict=True):
         whole[drawn] = part
@@ -179,11 +185,20 @@ def backward(
 
 
 def _backward_drawn(
-    gaussians: tuple[Array, Array, Array], view: UnpackedCamera, d_mean2d: Array, d_whitening: Array
+    gaussians: tuple[Array, Array, Array],
+    view: UnpackedCamera,
+    d_mean2d: Array,
+    d_whitening: Array,
+    d_share: Array,
 ) -> tuple[Array, Array, Array]:
     mean, scale, rotation = gaussians
     point = mean @ view.rotation.T + view.translation
-    d_cov2d = covariance_gradient(covariance2d(view, mean, scale, rotation), d_whitening)
+    blurred = covariance2d(view, mean, scale, rotation)
+    d_cov2d = covariance_gradient(blurred, d_whitening)
+    if d_share.any():
+        sharp = covariance2d(view, mean, scale, rotation, 0.0)
+        by_share = 0.5 * (np.linalg.inv(sharp) - np.linalg.inv(blurred))
+        d_cov2d = d_cov2d + d_share[:, None, None] * by_share
     axes = rotation_matrix(rotation) * scale[:, None, :]
     cov_camera = view.rotation @ (axes @ axes.transpose(0, 2, 1)) @ view.rotation.T
     j, free = jacobian(view, point)

@@ -192,11 +192,12 @@ def rasterise_backward(
     camera, gaussians = frame.view.camera, frame.gaussians
     if gaussians is None:
         raise ValueError("frame: it was drawn without `keep`")
-    if isinstance(scene, OrdinaryGaussians) and scene.antialiased:
-        raise ValueError("scene: it is antialiased, which has no gradient yet")
+    antialiased = isinstance(scene, OrdinaryGaussians) and scene.antialiased
     d_projected = blend_backward(device, frame, d_image)
     with device.stage("project backward"):
-        d_gaussians = project.backward(device, gaussians, camera, frame.projected, d_projected)
+        d_gaussians = project.backward(
+            device, gaussians, camera, frame.projected, d_projected, antialiased
+        )
         if volume_weight:
             total, d_scale = frame.totals[1], d_gaussians.d_scale
             loss.volume(device, gaussians.scale, volume_weight, d_scale, total)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -55,6 +55,8 @@ from clgs.workflow.scenes import (
 )
 from clgs.workflow.views import check_photo_options, known_data, load_views, scene_name
 
+PHOTO_OPTIONS = ("downscale", "max_size", "masks", "device")
+
 SUFFIXES = (".glb", ".html", ".ply", ".spz", ".sog")
 
 LOSSY = 0.25
@@ -97,21 +99,28 @@ class ExportedCameras:
     cameras: int
 
 
+class Baking(TypedDict, total=False):
+    """How a scene is baked, as arguments of :func:`export`; None as if it were not given."""
+
+    steps: int | None
+    downscale: int | None
+    max_size: int | None
+    masks: str | None
+    antialiased: bool | None
+    device: str | None
+
+
 def export(
     source: Path | str | None,
     output: Path | str,
     *,
     data: Path | str | None = None,
     sh_degree: int | None = None,
-    steps: int | None = None,
     units: str | None = None,
-    downscale: int | None = None,
-    max_size: int | None = None,
-    masks: str | None = None,
-    device: str | None = None,
     name: str | None = None,
     overwrite: bool = False,
     on_event: OnEvent = ignore,
+    **baking: Unpack[Baking],
 ) -> ExportedPage | ExportedGaussians | ExportedCameras:
     """Write a scene or a data set as a file for other programs; the suffix says which.
 
@@ -127,15 +136,15 @@ def export(
             fitted to its photos, the page starts at its first held-out view, and the y axis of a
             .glb is its up.
         sh_degree: highest degree of the colors' spherical harmonics, 0 to 3; default: 3.
-        steps: of refinement after the fit; default: BAKE_STEPS.
         units: of the Gaussians, "data" (the data set's coordinates, the default) or "scene".
-        downscale: the photos are reduced this many times.
-        max_size: wider photos are reduced to this width in pixels.
-        masks: what they mean, "ignore" or "object"; default: as in training.
-        device: number or part of the name.
         name: title of a page; default: that of the photos' folder, or of ``source``.
         overwrite: whether ``output`` may be replaced.
         on_event: receives progress and notes.
+        baking: of a trained scene. steps: of refinement after the fit; default: BAKE_STEPS.
+            downscale: the photos are reduced this many times. max_size: wider photos are reduced
+            to this width in pixels. masks: what they mean, "ignore" or "object"; default: as in
+            training. antialiased: whether the Gaussians are for viewers that draw such ones, which
+            .ply, .spz and .sog ask for. device: number or part of the name.
 
     Raises:
         UsageError: the suffix is unknown, ``source`` is not what it needs, or an argument has no
@@ -151,20 +160,19 @@ def export(
         raise UsageError(f"{output}: nothing is written by this suffix; take one of {known}")
     check_new(output, overwrite)
     photos = None if data is None else as_path("data", data)
-    baking: dict[str, Any] = {"steps": steps, "downscale": downscale, "max_size": max_size}
-    baking |= {"masks": masks, "device": device}
+    given: dict[str, Any] = {**baking}
     drawn = {"sh_degree": sh_degree, "units": units}
     if suffix != ".html":
         _refuse({"name": name}, "only a page has a title")
     if suffix == ".html":
-        _refuse(drawn | baking, "a page holds the scene as it is")
+        _refuse(drawn | given, "a page holds the scene as it is")
         return _page(source, output, photos, name, None)
     if suffix == ".glb" and not (
         source and (source.is_file() or (run_folder(source) / "scene.npz").exists())
     ):
         if source is None:
             raise UsageError("a data set is needed: `clgs export DATA -o cameras.glb`")
-        _refuse(drawn | baking | {"data": data}, f"{source} is a data set")
+        _refuse(drawn | given | {"data": data}, f"{source} is a data set")
         dataset = load_dataset(source, load_images=False)
         glb = cameras_glb(dataset)
         atomic_write(output, glb)
@@ -178,7 +186,7 @@ def export(
     degree = SH_DEGREES[-1] if sh_degree is None else sh_degree
     kind, loss = "", None
     if isinstance(scene, SplatScene):
-        _refuse(baking, "splats are converted, not baked")
+        _refuse(given, "splats are converted, not baked")
         if suffix != ".glb":
             _refuse({"data": data}, "only .glb has an up, which a data set tells")
         if photos is not None:
@@ -188,15 +196,12 @@ def export(
         up = to_y_up(kind, scene.transform.frame) if kind else None
         encoded = _encode(output, gaussians, transform, up, on_event)
     else:
-        views = ViewOptions(
-            photos or _known(source),
-            downscale=downscale,
-            max_size=max_size,
-            masks=masks,
-            device=device,
-        )
+        steps, antialiased = given.pop("steps", None), given.pop("antialiased", None)
+        photo_options = {name: given.pop(name, None) for name in PHOTO_OPTIONS}
+        _refuse(given, "there is no such option")
+        views = ViewOptions(photos or _known(source), **photo_options)
         check_photo_options(views)
-        settings = BakeSettings(degree, BAKE_STEPS if steps is None else steps)
+        settings = BakeSettings(degree, BAKE_STEPS if steps is None else steps, bool(antialiased))
         encoded, loss = _bake(source, output, scene, views, settings, transform, on_event)
     atomic_write(output, encoded.data)
     made = encoded.gaussians

@@ -1,8 +1,9 @@
-/* The way back from the whitening factor to the 2x3 factor J W R S, and from a rotation matrix to
- * its quaternion. */
+/* The way back from the whitening factor and the kept share to the 2x3 factor J W R S, and from a
+ * rotation matrix to its quaternion. */
 #ifndef CLGS_FACTOR_GRADIENT_H
 #define CLGS_FACTOR_GRADIENT_H
 
+#include "common/lane_math.h"
 #include "common/real.h"
 #include "gaussian/projection.h"
 
@@ -48,6 +49,25 @@ static inline void factor_gradient(const Projection *p, const fv factor[3], cons
         d_a[k] = factor[0] * d_first - back * d_second;
         d_b[k] = factor[2] * d_second;
         d_log_scale[k] = first[k] * d_first + second[k] * d_second;
+    }
+}
+
+/* Adds the gradient of the share that antialiased Gaussians keep to those of the factor's rows, and
+ * to `along` the part along each column; d_share: by the share's logarithm. */
+static inline void share_gradient(const Projection *p, const fv d_share, fv d_a[3], fv d_b[3],
+                                  fv along[3])
+{
+    const fv sharp = dot3(p->minor, p->minor);
+    const fv weight = sharp > (fv)(0.0f) ? 1.0f / sharp - 1.0f / p->det : (fv)(0.0f);
+    fv by_a[3], by_b[3];
+    cross3(p->b, p->minor, by_a);
+    cross3(p->minor, p->a, by_b);
+    for (int k = 0; k < 3; ++k) {
+        const fv more_a = d_share * (weight * by_a[k] - p->blur * p->a[k] / p->det);
+        const fv more_b = d_share * (weight * by_b[k] - p->blur * p->b[k] / p->det);
+        d_a[k] += more_a * p->on_unit;
+        d_b[k] += more_b * p->on_unit;
+        along[k] += p->a[k] * more_a + p->b[k] * more_b;
     }
 }
 

@@ -82,14 +82,16 @@ static inline void mean_gradient(const Projection *p, const fv d_mean2d[2], cons
         d_mean[column] = along_camera(camera, column, d_point);
 }
 
-/* Gradients of the Gaussians from those of their projections on the screen of training; zero for
- * culled ones. */
+/* Gradients of the Gaussians from those of their projections on the screen of training, or that of
+ * antialiased ones; zero for culled ones, but for the opacity if they are not antialiased. */
 __kernel void project_backward(__global const float *mean, __global const float *scale,
                                __global const float *rotation, __global const float *camera,
-                               const int count, __global const float *whitening,
+                               const int count, const int antialiased,
+                               __global const float *opacity, __global const float *whitening,
                                __global const float *extent, __global const float *d_mean2d,
-                               __global const float *d_whitening, __global float *d_mean,
-                               __global float *d_scale, __global float *d_rotation)
+                               __global const float *d_whitening, __global const float *d_shown,
+                               __global float *d_mean, __global float *d_scale,
+                               __global float *d_rotation, __global float *d_opacity)
 {
     const size_t item = item_from_middle() * VEC;
     if (item >= (size_t)count)
@@ -106,9 +108,19 @@ __kernel void project_backward(__global const float *mean, __global const float 
     load_rows2(d_mean2d, item, used, d_centre);
     const Projection p = make_projection(position, size, quaternion, camera, (fv)(BLUR));
     factor_gradient(&p, factor, d_factor, d_a, d_b, d_size);
+    const iv drawn = box[0] > (fv)(0.0f);
+    fv d_opaque;
+    load_rows1(d_shown, item, used, &d_opaque);
+    if (antialiased) {
+        fv opaque;
+        load_rows1(opacity, item, used, &opaque);
+        d_opaque *= kept_share(&p, (fv)(BLUR), (fv)(0.0f));
+        share_gradient(&p, d_opaque * opaque, d_a, d_b, d_size);
+        blank(drawn, 1, &d_opaque);
+    }
+    store_rows1(&d_opaque, d_opacity, item, used);
     rotation_gradient(&p, quaternion, d_a, d_b, camera, d_quaternion);
     mean_gradient(&p, d_centre, d_a, d_b, d_size[0] + d_size[1] + d_size[2], camera, d_position);
-    const iv drawn = box[0] > (fv)(0.0f);
     for (int k = 0; k < 3; ++k)
         d_size[k] = p.scale[k] == (fv)(0.0f) ? (fv)(0.0f) : d_size[k] / p.scale[k];
     blank(drawn, 3, d_position);

@@ -121,6 +121,12 @@ static inline void project_covariance(Projection *p, const fv blur)
     p->det = fma(p->blur, xx + yy + p->blur, dot3(p->minor, p->minor));
 }
 
+static inline void cross3(const fv a[3], const fv b[3], fv result[3])
+{
+    for (int k = 0; k < 3; ++k)
+        result[k] = a[(k + 1) % 3] * b[(k + 2) % 3] - a[(k + 2) % 3] * b[(k + 1) % 3];
+}
+
 /* Share of its opacity with which a Gaussian, blurred by `blur`, gives as much light as by
  * `learned`, square pixels. Determinants are sums of positive terms: they keep their digits for
  * needles. */

@@ -41,12 +41,6 @@ typedef struct {
     Projection p;
 } Sight;
 
-static inline void cross3(const fv a[3], const fv b[3], fv result[3])
-{
-    for (int k = 0; k < 3; ++k)
-        result[k] = a[(k + 1) % 3] * b[(k + 2) % 3] - a[(k + 2) % 3] * b[(k + 1) % 3];
-}
-
 #if BY_COVARIANCE
 /* Square root, and 0 of what rounding made negative. */
 static inline fv root_of(const fv x)

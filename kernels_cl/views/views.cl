@@ -66,26 +66,6 @@ __kernel void views_forward(__global const float *mean, __global const float *sh
     store_rows1(&opaque, compensated, first, used);
 }
 
-/* Adds the gradient of the share to those of the factor's rows, of which it returns the part along
- * each column; d_share: by the share's logarithm. */
-static inline void share_gradient(const Sight *s, const fv d_share, fv d_a[3], fv d_b[3],
-                                  fv along[3])
-{
-    const Projection *p = &s->p;
-    const fv sharp = dot3(p->minor, p->minor);
-    const fv weight = sharp > (fv)(0.0f) ? 1.0f / sharp - 1.0f / p->det : (fv)(0.0f);
-    fv by_a[3], by_b[3];
-    cross3(p->b, p->minor, by_a);
-    cross3(p->minor, p->a, by_b);
-    for (int k = 0; k < 3; ++k) {
-        const fv more_a = d_share * (weight * by_a[k] - p->blur * p->a[k] / p->det);
-        const fv more_b = d_share * (weight * by_b[k] - p->blur * p->b[k] / p->det);
-        d_a[k] += more_a * p->on_unit;
-        d_b[k] += more_b * p->on_unit;
-        along[k] += p->a[k] * more_a + p->b[k] * more_b;
-    }
-}
-
 #if BY_COVARIANCE
 /* dL/d(covariance) in the world, both halves of it in the upper: moments of the whitened rows of
  * J W, and the share's part. */
@@ -191,7 +171,7 @@ __kernel void views_backward(__global const float *mean, __global const float *s
     factor_gradient(&s.p, factor, d_factor, d_a, d_b, d_size);
     const fv d_share = COMPENSATED ? d_opaque * opaque * s.share : (fv)(0.0f);
     if (COMPENSATED)
-        share_gradient(&s, d_share, d_a, d_b, d_size);
+        share_gradient(&s.p, d_share, d_a, d_b, d_size);
     d_opaque *= s.share;
     blank(drawn, 1, &d_opaque);
     store_rows1(&d_opaque, d_opacity, item, used);

@@ -75,6 +75,21 @@ def test_refinement_brings_it_closer_and_repeats_bit_for_bit(device, views):
         assert np.array_equal(getattr(again, name), array), name
 
 
+def test_antialiased_ones_are_right_from_afar(device, views):
+    """A picture of a quarter of the size is the mean over pixels of the whole one."""
+    scene, turned = views
+    camera = turned[0].camera
+    whole = Renderer(device, scene).render(camera).astype(np.float64)
+    wanted, errors = whole.reshape(3, SIZE // 4, 4, SIZE // 4, 4).mean(axis=(2, 4)), []
+    for antialiased in (True, False):
+        baked = bake(device, scene, turned, BakeSettings(1, 30, antialiased))
+        assert baked.antialiased == antialiased
+        of_baked = Renderer(device, SplatScene(baked, scene.settings))
+        assert np.mean((of_baked.render(camera) - whole) ** 2) < 0.01
+        errors.append(np.mean((of_baked.render(camera.reduced(4)) - wanted) ** 2))
+    assert errors[0] < 0.5 * errors[1]
+
+
 @pytest.mark.slow
 def test_photos_are_what_it_is_refined_to(device, views):
     scene, turned = views

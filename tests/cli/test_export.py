@@ -59,6 +59,8 @@ def work(tmp_path, monkeypatch):
         ("splats.ply -o x.ply --steps -1", 2, "--steps"),
         ("splats.ply -o x.ply --steps 9", 2, "--steps: splats are converted, not baked; leave it"),
         ("splats.ply -o x.spz --max-size 90", 2, "--max-size: splats are converted, not baked"),
+        ("splats.ply -o x.spz --antialiased", 2, "--antialiased: splats are converted, not baked"),
+        ("splats.ply -o x.html --antialiased", 2, "--antialiased: a page holds the scene as it is"),
         ("splats.ply -o x.glb --device 0", 2, "--device: splats are converted, not baked"),
         ("splats.ply -o x.spz --data photos", 2, "--data: only .glb has an up, which a data set"),
         ("splats.ply -o x.glb --data none", 3, "none: no such folder"),

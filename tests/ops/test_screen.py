@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from clgs.constants import BLUR, NEAR_PLANE, PIXEL_VARIANCE
 from clgs.ops import project
 from clgs.reference import project as reference
-from tests.compare import assert_close
-from tests.ops.cases.project import camera_at, gaussians, on_device, widen
+from tests.compare import assert_close, relative_l2
+from tests.ops.cases.project import camera_at, d_projected, gaussians, on_device, widen
 
 EPSILON = 2.0**-24
 POINT = (0.2, -0.1, 0.3)
@@ -103,6 +105,31 @@ def test_a_ball_of_a_pixel_keeps_its_share(device, screen, blur, learned):
     share = np.sqrt((x + learned) * (y + learned) / ((x + blur) * (y + blur)))
     assert device.download(found.opacity)[0] == pytest.approx(0.5 * share)
     assert device.download(found.whitening)[0, 0] == pytest.approx((x + blur) ** -0.5)
+
+
+@pytest.mark.parametrize("times", [0.05, 1.0])
+def test_gradients_of_antialiased_ones_agree_with_reference(device, rng, times):
+    values, packed = gaussians(rng, 4000), camera_at().pack(NEAR_PLANE)
+    values["scale"] *= np.float32(times)
+    values["opacity"] = np.maximum(values["opacity"], np.float32(0.3))
+    camera, uploaded = device.upload(packed), on_device(device, values)
+    projected = project.forward(device, uploaded, camera, screen=project.ANTIALIASED)
+    shape, opacity = shape_of(values), widen(values)["opacity"]
+    expected = reference.forward(*shape, opacity, packed, screen=project.ANTIALIASED)
+    given = d_projected(device, *(np.zeros((4000, n), np.float32) for n in (2, 3)))
+    d_shown = rng.normal(size=4000).astype(np.float32)
+    given = replace(given, d_opacity=device.upload(d_shown))
+    found = project.backward(device, uploaded, camera, projected, given, antialiased=True)
+    shown = reference.shown_opacity(shape, opacity, packed, project.ANTIALIASED)
+    zero = given.d_mean2d.shape, given.d_whitening.shape
+    wanted = reference.backward(
+        shape, packed, expected, *map(np.zeros, zero), d_share=d_shown * shown
+    )
+    for name, target in zip(("d_mean", "d_scale", "d_rotation"), wanted, strict=True):
+        assert relative_l2(device.download(getattr(found, name)), target) <= 1e-4, name
+    drawn = device.download(projected.extent)[:, 0] > 0
+    share = np.where(drawn, shown / opacity, 0)
+    assert relative_l2(device.download(found.d_opacity), d_shown * share) <= 1e-5
 
 
 def test_no_gaussians_and_no_numbers(device, rng):

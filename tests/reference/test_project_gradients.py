@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clgs.constants import NEAR_PLANE
+from clgs.constants import BLUR, NEAR_PLANE
 from clgs.reference import project as reference
 from tests.compare import assert_close, central_difference
 from tests.ops.cases.project import camera_at, gaussians, widen
@@ -42,5 +42,35 @@ def test_gradient(rng, which, spread):
         weight2d,
         weight_whitening,
     )[("mean", "scale", "rotation").index(which)]
+    numeric = central_difference(objective, values[which]).reshape(analytic.shape)
+    assert_close(analytic, numeric, 1e-6 * np.abs(numeric).max(), which)
+
+
+@pytest.mark.parametrize("which", ["mean", "scale", "rotation"])
+def test_gradient_of_the_opacity_of_antialiased_ones(rng, which):
+    values = widen(gaussians(rng, 20))
+    values["opacity"][:] = 0.9
+    packed = camera_at().pack(NEAR_PLANE).astype(np.float64)
+    antialiased = (*(0.0,) * 7, BLUR)
+    weight = rng.normal(size=20)
+    projected = reference.forward(**values, camera=packed, screen=antialiased)
+    weight[projected.extent[:, 0] == 0] = 0
+
+    def shown(moved):
+        shape = moved["mean"], moved["scale"], moved["rotation"]
+        return reference.shown_opacity(shape, values["opacity"], packed, antialiased)
+
+    analytic = reference.backward(
+        (values["mean"], values["scale"], values["rotation"]),
+        packed,
+        projected,
+        np.zeros((20, 2)),
+        np.zeros((20, 3)),
+        weight * shown(values),
+    )[("mean", "scale", "rotation").index(which)]
+
+    def objective(x):
+        return float(np.sum(weight * shown({**values, which: x})))
+
     numeric = central_difference(objective, values[which]).reshape(analytic.shape)
     assert_close(analytic, numeric, 1e-6 * np.abs(numeric).max(), which)

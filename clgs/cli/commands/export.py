@@ -74,6 +74,13 @@ def register(parser: argparse.ArgumentParser) -> None:
         choices=("data", "scene"),
         help="coordinates of the data set, or the scene's own (default: data)",
     )
+    add(
+        "--antialiased",
+        action="store_const",
+        const=True,
+        help="baking: for viewers that draw antialiased splats, in which they look right from "
+        "afar, too; the file asks for that",
+    )
     add_masks(parser, AS_TRAINED)
     add_device_name(parser)
     add("--viewer", action="store_true", help=".html: a page without a scene, to drop files on")
@@ -98,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
     if not args.viewer and args.source is None and args.output.suffix.lower() == ".html":
         raise UsageError("name a SCENE, or give --viewer for a page without one")
     shared = chosen(vars(args), "data", "name", "overwrite")
-    names = "sh_degree", "steps", "units", "downscale", "max_size", "device", "masks"
+    names = "sh_degree", "steps", "units", "downscale", "max_size", "device", "masks", "antialiased"
     others = chosen({"masks": None} | vars(args), *names)
     if args.link is not None:
         for name, value in others.items():
