@@ -38,7 +38,7 @@ class Screen(NamedTuple):
     """What a picture needs to know of the photos from which its Gaussians were learned.
 
     x, y, z: a point, scene units; nearest, farthest: distances of the photos' cameras from it;
-    enlarged: the focal length (fx) of the picture by that of the photos; all are zero if nothing is
+    enlarged: the focal length of the picture by that of the photos; all are zero if nothing is
     known. learned: the blur that Gaussians learned with, square pixels; with 0 that of the screen
     makes none brighter, as of antialiased splats. blur: that of the screen, square pixels.
     """

@@ -187,5 +187,7 @@ def screen_of(camera: Camera, photos: PhotoRange) -> project.Screen:
     """The screen of ``camera`` for a scene that was learned from ``photos``."""
     if photos == UNKNOWN:
         return project.USUAL_SCREEN
-    focal = min(max(camera.fx, photos.least_focal), photos.greatest_focal)
-    return project.Screen(*photos[2:], camera.fx / focal)
+    least, greatest = photos[:2]
+    sizes = [focal / min(max(focal, least), greatest) for focal in (camera.fx, camera.fy)]
+    # if pixels are not square, the blur is that of the axis on which the size differs less
+    return project.Screen(*photos[2:], max(1.0, min(sizes)) * min(1.0, max(sizes)))

@@ -20,9 +20,9 @@ PULL = 1e-3
 class PhotoRange(NamedTuple):
     """Bounds of what all photos have in common.
 
-    least_focal, greatest_focal: fx, pixels; x, y, z: the point nearest to all optical axes, scene
-    units; nearest, farthest: distances of cameras from it, scene units. All are 0 if nothing is
-    known of the photos.
+    least_focal, greatest_focal: of fx and fy, pixels; x, y, z: the point nearest to all optical
+    axes, scene units; nearest, farthest: distances of cameras from it, scene units. All are 0 if
+    nothing is known of the photos.
     """
 
     least_focal: float = 0.0
@@ -56,6 +56,6 @@ def photo_range(cameras: Sequence[Camera]) -> PhotoRange:
     matrix, right = optical_axes(centres, forward)
     point = np.linalg.solve(matrix + PULL * np.eye(3), right + PULL * centres.mean(axis=0))
     distance = np.linalg.norm(centres - point, axis=1)
-    focal = [camera.fx for camera in cameras]
+    focal = [value for camera in cameras for value in (camera.fx, camera.fy)]
     reach = distance.min() * (1 - SLACK), distance.max() * (1 + SLACK)
     return PhotoRange(min(focal), max(focal), *point.tolist(), *map(float, reach))

@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.codec.contribution import contribution
+from clgs.errors import UsageError
 from clgs.opencl.device import Device
-from clgs.scene.photo_range import photo_range
+from clgs.scene.photo_range import UNKNOWN, photo_range
 from clgs.scene.scene import QuantizedScene
 from clgs.train.quality.rate_control import (
     MAX_VIEWS,
@@ -24,7 +25,7 @@ from clgs.train.quality.rate_control import (
 )
 from clgs.workflow.events import OnEvent, counter, ignore
 from clgs.workflow.options import ViewOptions
-from clgs.workflow.views import drawing_options, select_views
+from clgs.workflow.views import drawing_options, select_views, trained_config
 
 
 @dataclass(frozen=True)
@@ -93,15 +94,26 @@ def encode_within(
 
 
 def with_photos(
-    path: Path, scene: QuantizedScene, views: ViewOptions, on_event: OnEvent = ignore
+    path: Path,
+    scene: QuantizedScene,
+    views: ViewOptions,
+    required: bool = True,
+    on_event: OnEvent = ignore,
 ) -> QuantizedScene:
-    """A scene of an older version, with the photos that ``views`` names in its settings.
+    """The scene with the photos that ``views`` names in its settings.
 
-    They must have the size at which the scene was trained.
+    Unless that is ``required``, photos that it knows stay, and so does it if their size is unknown.
 
     Raises:
+        UsageError: neither ``views`` nor a run folder says at which size it was trained.
         DataError: the data set is damaged, or that of another scene.
     """
+    sized = views.downscale is not None or views.max_size is not None or trained_config(path)
+    if not required and (scene.settings.photos != UNKNOWN or not sized):
+        return scene
+    if not sized:
+        size = "give --downscale N or --max-size N as it was trained with"
+        raise UsageError(f"{path}: at which size of the photos it was trained is not known; {size}")
     every = select_views(path, scene, replace(views, split="train"), on_event)
     photos = photo_range([view.camera for view in every])
     return replace(scene, settings=replace(scene.settings, photos=photos))

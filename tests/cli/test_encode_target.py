@@ -42,6 +42,7 @@ def test_sizes():
 def test_options_must_fit_each_other(scene, target, capsys):
     for options in (
         ["--target-psnr", "30"],
+        ["--data", "."],
         ["--target-size", "10"],
         ["--mlps", "x.npz"],
         ["--all-views"],
@@ -121,12 +122,16 @@ def test_an_older_file_learns_of_its_photos(scene, target, tmp_path, capsys):
     assert describe(target.read_bytes())["content_hash"] == describe(old)["content_hash"]
     capsys.readouterr()
     command[1:4] = [str(target), "-o", str(tmp_path / "again.clgs")]
-    assert main(command) == 2
-    assert "knows its photos; give a target or --layers, too" in capsys.readouterr().err
     assert main([*command, "--layers", "2"]) == 0
     assert decode((tmp_path / "again.clgs").read_bytes()).settings == found.settings
+    assert main([*command[:-1], "1", "--overwrite"]) == 0  # it was another size
+    again = decode((tmp_path / "again.clgs").read_bytes()).settings.photos
+    assert again.least_focal == pytest.approx(2 * found.settings.photos.least_focal)
+    assert main([*command[:-2], "--overwrite"]) == 2
+    assert "give --downscale N or --max-size N as it was trained with" in capsys.readouterr().err
     capsys.readouterr()
-    assert main(["encode", scene, "-o", str(tmp_path / "no.clgs"), "--data", str(data / "x")]) == 3
+    gone = ["--data", str(data / "x"), "--downscale", "1"]
+    assert main(["encode", scene, "-o", str(tmp_path / "no.clgs"), *gone]) == 3
     assert capsys.readouterr().err.endswith("x: no such folder; check the path\n")
     assert not (tmp_path / "no.clgs").exists()
 

@@ -81,10 +81,16 @@ def test_photos_are_shown_as_they_were_learned(rng):
     assert screen_of(cameras[0], UNKNOWN) == project.USUAL_SCREEN
 
 
-@pytest.mark.parametrize(("times", "square"), [(4.0, 16.0), (0.25, 1 / 16)])
-def test_another_size_is_told_by_the_focal_length(rng, times, square):
+@pytest.mark.parametrize(
+    ("x", "y", "square"),
+    [(4.0, 4.0, 16.0), (0.25, 0.25, 1 / 16), (4.0, 1.0, 1.0), (1.0, 0.25, 1.0), (4.0, 2.0, 4.0),
+     (0.25, 0.5, 1 / 4), (2.0, 0.5, 1.0)],
+)  # fmt: skip
+def test_another_size_is_told_by_the_focal_lengths(rng, x, y, square):
+    """If pixels are stretched, the axis counts on which the size differs less."""
     camera = cameras_around(rng, 1, np.zeros(3), (3.0, 3.0))[0]
-    screen = screen_of(replace(camera, fx=times * camera.fx), photo_range([camera]))
+    other = replace(camera, fx=x * camera.fx, fy=y * camera.fy)
+    screen = screen_of(other, photo_range([camera]))
     view = reference.unpack(camera.pack(NEAR_PLANE))
     assert reference.blurs(view, np.zeros((1, 3)), screen)[1] == pytest.approx(BLUR * square)
 

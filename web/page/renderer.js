@@ -236,8 +236,10 @@ class Renderer {
     const [least, greatest, x, y, z, nearest, farthest] = scene.photos;
     gl.uniform4f(uniforms.photos, x, y, z, nearest);
     gl.uniform1f(uniforms.farthest, farthest);
+    const sizes = [view.fx, view.fy].map((focal) =>
+      least > 0 ? focal / Math.min(Math.max(focal, least), greatest) : 0);
     gl.uniform1f(uniforms.enlarged,
-      least > 0 ? view.fx / Math.min(Math.max(view.fx, least), greatest) : 0);
+      least > 0 ? Math.max(1, Math.min(...sizes)) * Math.min(1, Math.max(...sizes)) : 0);
     gl.uniform1i(uniforms.order, 1);
     gl.activeTexture(gl.TEXTURE1);
     gl.bindTexture(gl.TEXTURE_2D, this.order.texture);

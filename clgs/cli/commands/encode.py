@@ -48,8 +48,9 @@ coarser scene, the first one with about a tenth of the bytes. Anchors come in th
 importance: opacity times area in training views (--data, or the data set that RUN names), or else
 from all around. 4 layers with their chunks of 1024 anchors cost 1 % of the bytes. To meet a target
 too, encode to the target first, and that file in layers.
---data alone: a file of an older version learns of its photos, so that it is drawn right at other
-sizes than theirs; --downscale or --max-size say at which size they were trained on.
+--data alone: the file learns of its photos, as those of older versions have not, so that it is
+drawn right at other sizes than theirs. --downscale or --max-size say at which size they were
+trained on, if RUN is no run folder.
 --mlp: float32 keeps the weights of the MLPs as floats, auto packs them as integers if training
 has rounded them; the same weights come back either way.
 
@@ -119,7 +120,6 @@ def run(args: argparse.Namespace) -> int:
     from clgs.errors import UsageError
     from clgs.files import atomic_write
     from clgs.scene.anchors import QuantizationScales
-    from clgs.scene.photo_range import UNKNOWN
     from clgs.workflow.outputs import check_new, check_suffix
     from clgs.workflow.scenes import read_scene, run_folder
 
@@ -143,11 +143,10 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"{path}: --mlps and --q are for a PLY file; leave them out")
     else:
         scene, _ = read_scene(path)
-    if args.data and scene.settings.photos == UNKNOWN:
+    if views.data:
         with Display() as display:
-            scene = with_photos(path, scene, views, display)
-    elif args.data and not (target or args.layers):
-        raise UsageError(f"--data: {path} knows its photos; give a target or --layers, too")
+            required = not (target or args.layers)
+            scene = with_photos(path, scene, views, required, display)
 
     def pack(scene: QuantizedScene, importance: npt.NDArray[np.float64] | None = None) -> bytes:
         options = args.level, args.chunk, args.threads, args.mlp, args.layers
