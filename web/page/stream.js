@@ -1,13 +1,23 @@
 // A file behind an address: layers are decoded and shown as their bytes come.
 
-// The bytes of an answer, in pieces, as an asynchronous generator.
+const ATTEMPTS = 5;
+
+// The bytes of an answer, in pieces, as an asynchronous generator. A connection that breaks before
+// the first piece is read is tried again: browsers throw away what came just before it broke.
 async function* pieces(address) {
-  const answer = await fetch(address).catch(() => {
-    throw new Error(`${address}: nothing answers, or it gives nothing to pages of other sites`);
-  });
-  if (!answer.ok) throw new Error(`${address}: the server says ${answer.status}`);
-  const reader = answer.body.getReader();
-  for (let next; !(next = await reader.read()).done;) yield next.value;
+  for (let attempt = 1, come = false; ; attempt++) {
+    const answer = await fetch(address).catch(() => {
+      throw new Error(`${address}: nothing answers, or it gives nothing to pages of other sites`);
+    });
+    if (!answer.ok) throw new Error(`${address}: the server says ${answer.status}`);
+    const reader = answer.body.getReader();
+    try {
+      for (let next; !(next = await reader.read()).done; come = true) yield next.value;
+      return;
+    } catch (error) {
+      if (come || attempt === ATTEMPTS) throw error;
+    }
+  }
 }
 
 function joined(first, second) {
