@@ -107,9 +107,11 @@ def bake(
 
 def _antialiased(fitted: HostGaussians, cameras: Sequence[Camera]) -> HostGaussians:
     """Antialiased ones to begin with, wider by WIDENED of the blur that was learned with."""
-    pixel = [np.linalg.norm(fitted.mean - one.centre, axis=1) / one.fx for one in cameras]
-    blur = WIDENED * BLUR * np.stack(pixel, axis=1).mean(axis=1, keepdims=True) ** 2
-    log_scale = 0.5 * np.log(np.exp(2 * fitted.log_scale) + blur)
+    pixel = np.zeros((len(fitted), 1))  # its mean edge at each Gaussian, scene units
+    for one in cameras:
+        away = np.linalg.norm(fitted.mean - one.centre, axis=1, keepdims=True)
+        pixel += away / (one.fx * len(cameras))
+    log_scale = 0.5 * np.log(np.exp(2 * fitted.log_scale) + WIDENED * BLUR * pixel**2)
     return replace(fitted, log_scale=log_scale.astype(np.float32), antialiased=True)
 
 

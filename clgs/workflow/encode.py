@@ -12,7 +12,7 @@ import numpy.typing as npt
 from clgs.codec.contribution import contribution
 from clgs.errors import UsageError
 from clgs.opencl.device import Device
-from clgs.scene.photo_range import UNKNOWN, photo_range
+from clgs.scene.photo_range import photo_range
 from clgs.scene.scene import QuantizedScene
 from clgs.train.quality.rate_control import (
     MAX_VIEWS,
@@ -94,24 +94,15 @@ def encode_within(
 
 
 def with_photos(
-    path: Path,
-    scene: QuantizedScene,
-    views: ViewOptions,
-    required: bool = True,
-    on_event: OnEvent = ignore,
+    path: Path, scene: QuantizedScene, views: ViewOptions, on_event: OnEvent = ignore
 ) -> QuantizedScene:
     """The scene with the photos that ``views`` names in its settings.
-
-    Unless that is ``required``, photos that it knows stay, and so does it if their size is unknown.
 
     Raises:
         UsageError: neither ``views`` nor a run folder says at which size it was trained.
         DataError: the data set is damaged, or that of another scene.
     """
-    sized = views.downscale is not None or views.max_size is not None or trained_config(path)
-    if not required and (scene.settings.photos != UNKNOWN or not sized):
-        return scene
-    if not sized:
+    if views.downscale is None and views.max_size is None and trained_config(path) is None:
         size = "give --downscale N or --max-size N as it was trained with"
         raise UsageError(f"{path}: at which size of the photos it was trained is not known; {size}")
     every = select_views(path, scene, replace(views, split="train"), on_event)

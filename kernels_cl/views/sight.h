@@ -25,7 +25,7 @@
 #define BY_COVARIANCE 0 /* shapes are xx, xy, xz, yy, yz, zz, not scales and rotations */
 #endif
 #ifndef COMPENSATED
-#define COMPENSATED 0 /* whether opacities make up for the blur; see antialias.cl */
+#define COMPENSATED 0 /* whether opacities make up for the blur */
 #endif
 
 /* VEC Gaussians on the way to the screen; of `p`, what depends on the screen. */
@@ -157,7 +157,7 @@ static inline OWN_FUNCTION void see_shape(Sight *s, __global const float *camera
     p->cov_xy = dot3(p->a, p->b);
     p->cov_yy = yy + p->blur;
     p->det = fma(p->blur, xx + yy + p->blur, sharp);
-    s->share = COMPENSATED ? sqrt(sharp / p->det) : (fv)(1.0f);
+    s->share = COMPENSATED ? kept_share(p, (fv)(blur), (fv)(0.0f)) : (fv)(1.0f);
 }
 
 static inline Sight see(__global const float *mean, __global const float *shape,

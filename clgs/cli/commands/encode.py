@@ -143,10 +143,9 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"{path}: --mlps and --q are for a PLY file; leave them out")
     else:
         scene, _ = read_scene(path)
-    if views.data:
+    if args.data and not (target or args.layers):
         with Display() as display:
-            required = not (target or args.layers)
-            scene = with_photos(path, scene, views, required, display)
+            scene = with_photos(path, scene, views, display)
 
     def pack(scene: QuantizedScene, importance: npt.NDArray[np.float64] | None = None) -> bytes:
         options = args.level, args.chunk, args.threads, args.mlp, args.layers
