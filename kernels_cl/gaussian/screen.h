@@ -30,7 +30,8 @@ static inline fv enlargement(const float8 screen, const fv mean[3], __global con
     const fv within = screen.s3 - inside, without = inside - screen.s4;
     const fv nearest = within > without ? within : without, farthest = screen.s4 + inside;
     const fv bound = away < nearest ? nearest : farthest; /* no quotient where none is needed */
-    return (away < nearest) | (away > farthest) ? screen.s5 * bound / away : (fv)(screen.s5);
+    const iv among = (away >= nearest) & (away <= farthest);
+    return among ? (fv)(screen.s5) : screen.s5 * bound / away;
 }
 
 /* Enlarged, Gaussians have the blur of the photos, so that they do not fall apart. Reduced, a pixel
