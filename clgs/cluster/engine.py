@@ -18,12 +18,15 @@ from clgs.errors import ClgsError, UsageError
 from clgs.machine import available_memory
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, LocalCluster
 
 LOSSES = 1000
 """Workers that a run may lose before it is given up: each of them leaves a checkpoint."""
 
 CONNECT_SECONDS = 30
+
+ATTEMPTS = 5
+"""How often workers that are lost while they start, or while they are asked, are tried again."""
 
 QUIET = logging.CRITICAL
 """What dask still reports: not every connection, nor its traceback of a scheduler that is lost."""
@@ -51,7 +54,7 @@ def connected(workers: int, scheduler: str | None) -> Iterator[Client]:
     """
     require_distributed()
     from dask import config
-    from distributed import Client, LocalCluster
+    from distributed import Client
 
     for name in ("distributed", "distributed.client"):  # dask gives each a level
         logging.getLogger(name).setLevel(QUIET)
@@ -79,18 +82,29 @@ def connected(workers: int, scheduler: str | None) -> Iterator[Client]:
         "distributed.scheduler.allowed-failures": LOSSES,
         "distributed.scheduler.work-stealing": False,  # of runs that take hours
     }
-    with (
-        config.set(settings),
-        LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            memory_limit=0,  # none: a worker is not paused or restarted for what it holds
-            dashboard_address=":0",
-            silence_logs=QUIET,
-        ) as cluster,
-        Client(cluster) as client,
-    ):
+    with config.set(settings), _local_cluster(workers) as cluster, Client(cluster) as client:
         yield client
+
+
+def _local_cluster(workers: int) -> LocalCluster:
+    """Processes on this machine; they are started again if one is killed meanwhile."""
+    from distributed import LocalCluster
+
+    for attempt in range(1, ATTEMPTS + 1):
+        try:
+            return LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                memory_limit=0,  # none: a worker is not paused or restarted for what it holds
+                dashboard_address=":0",
+                silence_logs=QUIET,
+            )
+        except RuntimeError as error:
+            if attempt == ATTEMPTS:
+                raise ClgsError(
+                    f"workers do not start ({error}); free memory, or give fewer --workers"
+                ) from error
+    raise AssertionError
 
 
 def _check_address(scheduler: str) -> None:
@@ -222,7 +236,7 @@ def usable_workers(
 
 def memory_per_worker(client: Client) -> int | None:
     """Bytes that each worker can have if those of a machine share what is free; None: unknown."""
-    free = client.run(available_memory)
+    free = _ask(client, lambda name: available_memory())
     machines = Counter(urlsplit(address).hostname for address in free)
     shares = [
         None if size is None else size // machines[urlsplit(address).hostname]
@@ -234,14 +248,34 @@ def memory_per_worker(client: Client) -> int | None:
 
 def _kinds(client: Client, kernels: Path, device: str | None) -> dict[str, dict[str, str]]:
     """The kind of every worker by its address."""
-    kinds = {}
-    for address, facts in client.scheduler_info(n_workers=-1)["workers"].items():
-        ask = partial(describe, str(kernels.resolve()), device, str(facts["id"]))
-        found = client.run(ask, workers=[address], on_error="return")[address]
-        if isinstance(found, Exception):  # clgs is missing there, or has no such module
-            raise UsageError(f"worker {facts['id']} at {address}: {_explain(found)}")
-        kinds[address] = found
-    return kinds
+    return _ask(client, partial(describe, str(kernels.resolve()), device))
+
+
+def _ask(client: Client, question: Callable[[str], Any]) -> dict[str, Any]:
+    """What ``question`` with the name of a worker gives on each, by its address.
+
+    Workers that are lost meanwhile are left out, and awaited if none is left.
+
+    Raises:
+        UsageError: a worker cannot answer, or none came back.
+    """
+    for _ in range(ATTEMPTS):
+        try:
+            client.wait_for_workers(1, timeout=CONNECT_SECONDS)
+        except TimeoutError:
+            break
+        found = {}
+        for address, facts in client.scheduler_info(n_workers=-1)["workers"].items():
+            ask = partial(question, str(facts["id"]))
+            answer = client.run(ask, workers=[address], on_error="return").get(address)
+            if isinstance(answer, OSError):  # it was lost
+                continue
+            if isinstance(answer, Exception):  # clgs is missing there, or has no such module
+                raise UsageError(f"worker {facts['id']} at {address}: {_explain(answer)}")
+            found[address] = answer
+        if found:
+            return found
+    raise UsageError("no worker is left; start some, or repeat the command with --resume")
 
 
 def _explain(error: Exception) -> str:

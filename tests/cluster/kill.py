@@ -59,3 +59,28 @@ def kill_and_wait(task, tell):
     """Work for a worker: it kills the process ``task["kills"]``, and goes on for long."""
     os.kill(task["kills"], signal.SIGKILL)
     time.sleep(600)
+
+
+@contextmanager
+def killed_at_start():
+    """Kill the next process that this one starts, as soon as it is there; yields the killed."""
+    import psutil
+
+    own, killed, ended = psutil.Process(), [], threading.Event()
+    before = {child.pid for child in own.children(recursive=True)}
+
+    def wait():
+        while not ended.wait(0.002):
+            for child in own.children(recursive=True):
+                if child.pid not in before and "spawn_main" in " ".join(child.cmdline()):
+                    child.kill()
+                    killed.append(child.pid)
+                    return
+
+    killer = threading.Thread(target=wait)
+    killer.start()
+    try:
+        yield killed
+    finally:
+        ended.set()
+        killer.join()

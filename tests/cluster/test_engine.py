@@ -1,0 +1,29 @@
+"""A cluster on this machine whose workers are killed while they start, and while they are asked."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import pytest
+
+from clgs.cluster.engine import common_kind, connected, memory_per_worker
+from tests.cluster.kill import killed_at_start
+
+pytest.importorskip("distributed", reason="dask.distributed is not installed")
+
+
+@pytest.mark.slow
+def test_a_worker_that_is_killed_while_it_starts_is_started_again():
+    with killed_at_start() as killed, connected(1, None) as client:
+        assert len(client.run(os.getpid)) == 1
+    assert len(killed) == 1
+
+
+@pytest.mark.slow
+def test_workers_that_are_lost_are_awaited_before_they_are_asked(tmp_path):
+    with connected(2, None) as client:
+        for question in (memory_per_worker, lambda client: common_kind(client, tmp_path, None)):
+            for process in client.run(os.getpid).values():
+                os.kill(process, signal.SIGKILL)
+            assert question(client)
