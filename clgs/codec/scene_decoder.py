@@ -18,6 +18,7 @@ from clgs.codec import octree
 from clgs.codec.attributes.model import NearRows
 from clgs.codec.attributes.row_coder import RowModel
 from clgs.codec.container.chunks import Chunk
+from clgs.codec.container.detl import interleave, times
 from clgs.codec.container.http_source import HttpSource
 from clgs.codec.container.meta import array_hash, content_arrays, content_hash, join_hashes
 from clgs.codec.container.reader import CHANNELS, SceneReader
@@ -91,6 +92,8 @@ def decode(
         for number, (layer, rows) in enumerate(zip(reader.layers, pairwise(ends), strict=False), 1):
             if content_hash(take(anchors, slice(*rows)), weights) != layer.content_hash:
                 raise reader.error(LAYR, f"the integers of layer {number} do not match their hash")
+        if chosen.details:
+            anchors = _add_details(reader, chunks, anchors, pool)
         anchors = _in_order(reader, anchors)
         if not chosen.whole:
             return reader.scene(anchors, weights)
@@ -102,11 +105,15 @@ def decode(
 
 @dataclass(frozen=True)
 class ChosenLayers:
-    """The layers that are decoded: their number, that of their chunks, and whether they are all."""
+    """The layers that are decoded: their number, that of their chunks, and whether they are all.
+
+    ``details``: whether the last one is that of details.
+    """
 
     count: int
     chunks: int
     whole: bool
+    details: bool = False
 
 
 def choose_layers(reader: SceneReader, layers: int | None) -> ChosenLayers:
@@ -116,7 +123,7 @@ def choose_layers(reader: SceneReader, layers: int | None) -> ChosenLayers:
         CodecError: the file is cut before its first layer ends.
         UsageError: ``layers`` is not a number of its layers.
     """
-    count = max(len(reader.layers), 1)
+    count = max(reader.layer_count, 1)
     if layers is not None and not 1 <= check_integer("layers", layers) <= count:
         raise UsageError(f"layers: {layers}; the file has {count}, give 1 to {count}")
     if not reader.layers:
@@ -127,7 +134,9 @@ def choose_layers(reader: SceneReader, layers: int | None) -> ChosenLayers:
         has = f"it has {names} of {count}, a coarser scene"
         warnings.warn(f"the file is cut; {has}", stacklevel=3)
     used = min(layers or count, there)
-    return ChosenLayers(used, reader.layer_ends()[used - 1], used == count)
+    ends = reader.layer_ends()
+    details = used > len(ends)
+    return ChosenLayers(used, ends[min(used, len(ends)) - 1], used == count, details)
 
 
 def _in_order(reader: SceneReader, anchors: QuantizedAnchors) -> QuantizedAnchors:
@@ -174,6 +183,9 @@ def decode_box(
         used = [i for i, kept in enumerate(inside) if kept.any()]
         filled = [chunks[i] for i in used]
         anchors = _decode_rows(reader, filled, [positions[i] for i in used], pool)
+        if chosen.details:
+            reader.fetch(filled, details=True)
+            anchors = _add_details(reader, filled, anchors, pool)
     kept = np.concatenate([np.empty(0, bool), *(inside[i] for i in used)])
     return reader.scene(_in_order(reader, take(anchors, kept)), weights.result())
 
@@ -192,7 +204,7 @@ def _decode_positions(
 def _decode_rows(
     reader: SceneReader, chunks: list[Chunk], positions: list[Positions], pool: ThreadPoolExecutor
 ) -> QuantizedAnchors:
-    """The anchors of some chunks, whose positions are known.
+    """The anchors of some chunks, whose positions are known, without details.
 
     Rows are in the order of the file: layer by layer, each in Morton order.
 
@@ -210,12 +222,14 @@ def _decode_rows(
     streams = [reader.streams(chunk) for chunk in chunks]
     rows = {tag: np.empty((len(position), CHANNELS[tag]), np.int32) for tag in CHANNELS}
     near = NearRows(position, spans)
+    step = reader.details.step if reader.details else 1
 
     def fill(tag: str, model: RowModel, batch: range) -> None:
         for i in batch:
             stream, near_rows = streams[i][tag], near.of(i) if model.looks_near else None
             try:
-                rows[tag][spans[i]] = model.decode(stream.data, len(chunks[i]), near_rows)
+                decoded = model.decode(stream.data, len(chunks[i]), near_rows)
+                rows[tag][spans[i]] = times(decoded, step)
             except ValueError as error:
                 raise stream.error(f"chunk {chunks[i].number}: {error}") from error
 
@@ -227,6 +241,41 @@ def _decode_rows(
         task.result()
     offset = rows[OFFS].reshape(-1, K_OFFSETS, 3)
     return QuantizedAnchors(position, offset, rows[FEAT], rows[SCAL])
+
+
+def _add_details(
+    reader: SceneReader, chunks: list[Chunk], coarse: QuantizedAnchors, pool: ThreadPoolExecutor
+) -> QuantizedAnchors:
+    """``coarse``, the anchors of ``chunks``, with their details; CodecError if one is damaged."""
+    assert reader.details is not None
+    step = reader.details.step
+    ends = np.cumsum([0, *map(len, chunks)]).tolist()
+    spans = [slice(*pair) for pair in pairwise(ends)]
+    near = NearRows(coarse.position, spans)
+    streams = [reader.detail_streams(chunk) for chunk in chunks]
+    rows = {
+        FEAT: coarse.feature,
+        OFFS: coarse.offset.reshape(-1, 3 * K_OFFSETS),
+        SCAL: coarse.scaling,
+    }
+
+    def add(tag: str, model: RowModel, batch: range) -> None:
+        for i in batch:
+            stream, near_rows = streams[i][tag], near.of(i) if model.looks_near else None
+            known = interleave(rows[tag][spans[i]] // step)
+            try:
+                decoded = model.decode(stream.data, len(chunks[i]), near_rows, known)
+            except ValueError as error:
+                raise stream.error(f"details of chunk {chunks[i].number}: {error}") from error
+            rows[tag][spans[i]] += decoded[:, 1::2]
+
+    batches = octree.batches(spans)
+    models = {tag: reader.detail_model(tag) for tag in rows}
+    tasks = [pool.submit(add, tag, models[tag], batch) for tag in rows for batch in batches]
+    for task in tasks:
+        task.result()
+    offset = rows[OFFS].reshape(-1, K_OFFSETS, 3)
+    return QuantizedAnchors(coarse.position, offset, rows[FEAT], rows[SCAL])
 
 
 def describe(data: bytes) -> dict[str, Any]:
@@ -272,7 +321,10 @@ def describe(data: bytes) -> dict[str, Any]:
 
 
 def describe_layers(reader: SceneReader, size: int) -> list[dict[str, Any]]:
-    """Anchors and end of each layer of a file of which there are ``size`` bytes."""
+    """Anchors and end of each layer of a file of which there are ``size`` bytes.
+
+    A layer of details adds no anchors.
+    """
     chunks, body = reader.chunks(), reader.body
     found, done = [], 0
     for end in reader.layer_ends():
@@ -280,4 +332,7 @@ def describe_layers(reader: SceneReader, size: int) -> list[dict[str, Any]]:
         there = body + last.end <= size
         found.append({"anchors": last.span.stop - done, "end": body + last.end, "there": there})
         done = last.span.stop
+    if reader.details is not None:
+        end = body + reader.head.length(BODY) + reader.details.size
+        found.append({"anchors": 0, "end": end, "there": end <= size})
     return found

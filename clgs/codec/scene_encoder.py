@@ -14,6 +14,12 @@ from clgs.codec import layering, octree, weights
 from clgs.codec.attributes import row_coder
 from clgs.codec.attributes.model import NearRows
 from clgs.codec.container.chunks import DEFAULT_CHUNK, MAX_CHUNK, MIN_CHUNK, TAGS, pack_directory
+from clgs.codec.container.detl import (
+    interleave,
+    known_channels,
+    pack_details,
+    round_attributes,
+)
 from clgs.codec.container.geor import pack_geor
 from clgs.codec.container.layers import Layer, pack_layers
 from clgs.codec.container.meta import (
@@ -30,6 +36,7 @@ from clgs.codec.container.sections import (
     ANCH,
     BODY,
     CHNK,
+    DETL,
     FEAT,
     GEOR,
     LAYR,
@@ -50,6 +57,9 @@ from clgs.scene.scene import QuantizedScene
 from clgs.scene.world import LOCAL
 from clgs.shapes import Shapes
 
+DETAILS = {tag: f"details of {tag}" for tag in (OFFS, FEAT, SCAL)}
+"""The names that details have among the streams of an encoder."""
+
 
 def encode(
     scene: QuantizedScene,
@@ -59,6 +69,7 @@ def encode(
     mlp: str = "auto",
     layers: int | None = None,
     importance: npt.NDArray[np.float64] | None = None,
+    details: bool = False,
 ) -> bytes:
     """The .clgs file of ``scene``: a pure function of it and of the options but ``threads``.
 
@@ -73,6 +84,8 @@ def encode(
             beginning of the file up to the end of a layer is a coarser scene.
         importance: of each anchor (A,) float64, at least 0, for ``layers``; default:
             ``clgs.codec.contribution``, opacity times area as seen from all around.
+        details: the last of several layers adds no anchors, but the precision of all others, whose
+            integers are rounded to multiples of ``clgs.codec.container.detl.STEP`` before it.
 
     Raises:
         CodecError: positions repeat or span 2^21 cells, or a weight or setting is not a sensible
@@ -85,47 +98,43 @@ def encode(
     if chunk is None:
         chunk = DEFAULT_CHUNK if layers is None else layering.CHUNK
     check_options(level, chunk, mlp, layers)
-    flat = scene.mlps.flat
-    Shapes(M=MLP_SIZE).check("mlps", flat, "M", np.float32)
-    bad = np.flatnonzero(~np.isfinite(flat))
-    if len(bad):
-        raise CodecError(f"mlps: weight {bad[0]} is {flat[bad[0]]}; train the scene again")
-    try:
-        check_meta(len(scene.anchors), scene.scales, scene.transform, scene.settings)
-    except ValueError as error:
-        raise CodecError(f"header: {error}, which no file may hold; correct the scene") from error
+    _check_scene(scene)
+    detailed = details and layers is not None and layers > 1
     with workers(threads) as pool:
         whole = anchors = sort_anchors(scene.anchors, pool.map)
         ends = [0, len(anchors)]
         if layers is not None:
-            if importance is not None:
-                importance = importance[octree.morton_order(scene.anchors.position)]
-            layer = layering.choose_layers(replace(scene, anchors=whole), layers, importance)
-            anchors = take(anchors, np.argsort(layer, kind="stable"))
-            ends = [0, *np.cumsum(np.bincount(layer)).tolist()]
+            anchors, ends = _in_layers(scene, whole, layers - detailed, importance)
         position = anchors.position
-        rows = {FEAT: anchors.feature, OFFS: flatten(anchors.offset), SCAL: anchors.scaling}
+        rows, beside = attribute_rows(anchors), dict[str, npt.NDArray[np.int32]]()
+        if detailed:
+            anchors, step = round_attributes(anchors)
+            rows, beside = _split(rows, attribute_rows(anchors), step)
         cuts = [octree.cut(position, chunk, slice(*layer_ends)) for layer_ends in pairwise(ends)]
         spans = [span for cut in cuts for span in cut]
         near = NearRows(position, spans)
         origins = octree.cell_corners(position, spans)
+        every = rows | beside
 
         def encode_positions(batch: range) -> list[bytes]:
             return [octree.encode_in(position[spans[i]], origins[i]) for i in batch]
 
         def encode_rows(tag: str, model: row_coder.RowModel, batch: range) -> list[bytes]:
             near_of = near.of if model.looks_near else lambda index: None
-            return [model.encode(rows[tag][spans[i]], near_of(i)) for i in batch]
+            return [model.encode(every[tag][spans[i]], near_of(i)) for i in batch]
 
         # What takes longest begins first.
         hashes = pool.map(array_hash, content_arrays(whole, scene.mlps.flat))
         models = {tag: pool.submit(row_coder.fit, rows[tag], level, spans, near) for tag in rows}
+        for tag, both in beside.items():
+            known = known_channels(both.shape[1])
+            models[tag] = pool.submit(row_coder.fit_beside, both, known, level, spans, near)
         batches = octree.batches(spans)
         tasks = {ANCH: [pool.submit(encode_positions, batch) for batch in batches]}
         packed = pool.submit(weights.encode, scene.mlps.flat, mlp)
         for tag, model in models.items():
             tasks[tag] = [pool.submit(encode_rows, tag, model.result(), batch) for batch in batches]
-        streams = {tag: [data for task in tasks[tag] for data in task.result()] for tag in TAGS}
+        streams = {tag: [data for task in tasks[tag] for data in task.result()] for tag in tasks}
         headers = {ANCH: b"", **{tag: model.result().header for tag, model in models.items()}}
         content = join_hashes(list(hashes))
     least, greatest = octree.bounds(position) if len(position) else ((0, 0, 0), (0, 0, 0))
@@ -144,8 +153,13 @@ def encode(
         Layer(len(cut), content_hash(take(anchors, slice(*layer_ends)), scene.mlps.flat))
         for cut, layer_ends in zip(cuts, pairwise(ends), strict=True)
     ]
-    body = b"".join(data for parts in zip(*streams.values(), strict=True) for data in parts)
-    last = {LAYR: pack_layers(listed), BODY: body}
+    in_turn = zip(*(streams[tag] for tag in TAGS), strict=True)
+    last = {BODY: b"".join(data for parts in in_turn for data in parts)}
+    if detailed:
+        of_details = {tag: (headers[name], streams[name]) for tag, name in DETAILS.items()}
+        section, details_of_chunks = pack_details(step, of_details)
+        last = {DETL: section, BODY: last[BODY] + details_of_chunks}
+    last = {LAYR: pack_layers(listed), **last}
     shared = {tag: headers[tag] for tag in TAGS}
     return write_container({**front, **shared, MLPS: packed.result(), **optional, **last})
 
@@ -176,9 +190,46 @@ def sort_anchors(
     return QuantizedAnchors(*run(lambda array: array[order], arrays))
 
 
-def flatten(offset: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
-    """Offsets (A, K, 3) as rows (A, 3 K)."""
-    return offset.reshape(len(offset), offset.shape[1] * 3)
+def _check_scene(scene: QuantizedScene) -> None:
+    """Raise CodecError unless weights and settings are numbers that a file may hold."""
+    flat = scene.mlps.flat
+    Shapes(M=MLP_SIZE).check("mlps", flat, "M", np.float32)
+    bad = np.flatnonzero(~np.isfinite(flat))
+    if len(bad):
+        raise CodecError(f"mlps: weight {bad[0]} is {flat[bad[0]]}; train the scene again")
+    try:
+        check_meta(len(scene.anchors), scene.scales, scene.transform, scene.settings)
+    except ValueError as error:
+        raise CodecError(f"header: {error}, which no file may hold; correct the scene") from error
+
+
+def _in_layers(
+    scene: QuantizedScene,
+    whole: QuantizedAnchors,
+    layers: int,
+    importance: npt.NDArray[np.float64] | None,
+) -> tuple[QuantizedAnchors, list[int]]:
+    """The anchors ``whole``, in Morton order, layer by layer; where layers begin, and the end."""
+    if importance is not None:
+        importance = importance[octree.morton_order(scene.anchors.position)]
+    layer = layering.choose_layers(replace(scene, anchors=whole), layers, importance)
+    ends = [0, *np.cumsum(np.bincount(layer)).tolist()]
+    return take(whole, np.argsort(layer, kind="stable")), ends
+
+
+def _split(
+    rows: dict[str, npt.NDArray[np.int32]], rounded: dict[str, npt.NDArray[np.int32]], step: int
+) -> tuple[dict[str, npt.NDArray[np.int32]], dict[str, npt.NDArray[np.int32]]]:
+    """The coarse values of ``rows``, and by DETAILS these beside what is left of them."""
+    coarse = {tag: array // step for tag, array in rounded.items()}
+    beside = {DETAILS[tag]: interleave(coarse[tag], rows[tag] - rounded[tag]) for tag in rows}
+    return coarse, beside
+
+
+def attribute_rows(anchors: QuantizedAnchors) -> dict[str, npt.NDArray[np.int32]]:
+    """The rows of each section of attributes; those that take longest to code come first."""
+    offset = anchors.offset.reshape(len(anchors), anchors.offset.shape[1] * 3)
+    return {FEAT: anchors.feature, OFFS: offset, SCAL: anchors.scaling}
 
 
 def check_options(

@@ -190,7 +190,7 @@ size_t clgs_attributes_workspace(size_t rows, size_t channels);
 
 /* One chunk of a matrix of any int32.
  *
- * value: (rows, channels), row-major, at least one row.
+ * value: (rows, channels), row-major, at least one row; known channels, too.
  * near: as clgs_near fills it; any earlier rows do. NULL: the rows just before each row.
  * capacity: at least clgs_attributes_bound(model, rows, channels).
  * Returns the bytes written, at least 1; 0 if shape or model are out of range, a near row is not
@@ -202,6 +202,7 @@ size_t clgs_attributes_encode(const void *model, const int32_t *value, const int
 
 /* The rows of a chunk, to (rows, channels) of `value`; shape and near rows are the encoder's.
  *
+ * value: if the model has known channels, their values are read from it, and all others must be 0.
  * A chunk of constant channels takes a byte: `size` does not bound `rows`. Damaged input: an error,
  * or other numbers. Returns CLGS_ERROR_ARGUMENT if shape, model or near rows are out of range. */
 clgs_error clgs_attributes_decode(const void *model, const uint8_t *data, size_t size,
@@ -234,7 +235,8 @@ size_t clgs_attributes_choose_workspace(void);
 
 /* Make classes and tables of every channel from the counts of its symbols.
  *
- * model: `class_of`, `classes` and `frequency` are written, no other field is read.
+ * model: `class_of`, `classes` and `frequency` are written; known channels have none, and cost
+ *     nothing. No other field is read.
  * count: as clgs_attributes_count fills it; in every channel at least one symbol was counted.
  * scale: 256 * (rows of all chunks) / (rows counted).
  * cost: (channels), what the channel will take with these tables, in 2^-16 bits.

@@ -16,8 +16,10 @@ import numpy.typing as npt
 from clgs import _codec
 from clgs.codec.attributes.model import (
     CELLS,
+    KNOWN,
     MAX_GAIN,
     MAX_WEIGHT,
+    MIXED,
     TABLE,
     Ints,
     Models,
@@ -94,11 +96,15 @@ class RowSample:
 
 @dataclass(frozen=True)
 class RowChunks:
-    """What a model is fitted to: ``values`` (n, channels) int32 in chunks, ``near`` by position."""
+    """What a model is fitted to: ``values`` (n, channels) int32 in chunks, ``near`` by position.
+
+    ``known`` (channels,): those that a reader has already.
+    """
 
     values: Ints
     chunks: list[slice]
     near: NearRows | None = None
+    known: npt.NDArray[np.bool_] | None = None
 
     def with_near(self, model: Models | None) -> Iterator[tuple[Ints, Ints | None]]:
         """Each chunk, and its near rows if ``model`` looks at them."""
@@ -152,6 +158,9 @@ def fit(rows: RowChunks, search: bool) -> tuple[Models, int]:
     # the mean, halves rounded up; 0 if a quarter of a column is 0
     means = (2 * sample.values.sum(axis=0, dtype=np.int64) + count) // (2 * count)
     model["centre"] = np.where(4 * (sample.values == 0).sum(axis=0) >= count, 0, means)
+    if rows.known is not None:
+        model["coder"][rows.known] = KNOWN
+        model["frequency"][rows.known] = 0
     if search:
         choose_taps(model, sample)
         choose_activity(model, sample)
@@ -171,6 +180,7 @@ def choose_taps(model: Models, sample: RowSample) -> None:
     """Set the terms of predictions that save more bits than they take."""
     trial = model.copy()
     find_taps(trial, sample.values, sample.near)
+    trial["taps"][trial["coder"] == KNOWN] = 0
     if not trial["taps"].any():
         return
     trial["gain"] = model["gain"] = TRIAL_GAIN
@@ -259,7 +269,8 @@ def mix_all(model: Models, sample: RowSample) -> Models:
     Gains are 0 only after the last channel whose classes depend on them, so no class changes.
     """
     mixed = model.copy()
-    mixed["coder"], mixed["classes"], mixed["class_of"], mixed["frequency"] = 1, 1, 0, 0
+    mixed["coder"] = np.where(model["coder"] == KNOWN, KNOWN, MIXED)
+    mixed["classes"], mixed["class_of"], mixed["frequency"] = 1, 0, 0
     gains = find_gains(sample.count(model))
     mixed["gain"] = np.where(model["gain"] == 0, gains, model["gain"])
     weight = weights_of(MIXED_SHARE, len(model))

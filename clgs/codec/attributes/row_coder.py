@@ -8,10 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from clgs import _codec
 from clgs.codec.attributes import model_search
-from clgs.codec.attributes.model import CHANNEL, Ints, Models, NearRows, looks_near
+from clgs.codec.attributes.model import CHANNEL, KNOWN, Ints, Models, NearRows, looks_near
 from clgs.codec.attributes.model_search import RowChunks
 from clgs.codec.octree import runs
 
@@ -69,13 +70,21 @@ class RowModel:
             return _codec.paper_encode(rows, self.channels)
         return _codec.attributes_encode(self.tables, rows, near) if len(rows) else b""
 
-    def decode(self, data: bytes | memoryview, count: int, near: Ints | None = None) -> Ints:
+    def decode(
+        self,
+        data: bytes | memoryview,
+        count: int,
+        near: Ints | None = None,
+        known: Ints | None = None,
+    ) -> Ints:
         """The ``count`` rows (count, channels) int32 of a chunk, ``near`` as for ``encode``.
+
+        ``known``: an array of these rows, to be filled, with the values of known channels, else 0.
 
         Raises:
             ValueError: the chunk is damaged, or holds another number of rows.
         """
-        rows = np.empty((count, self.channels), np.int32)
+        rows = np.empty((count, self.channels), np.int32) if known is None else known
         if self.header == RAW:
             if len(data) != rows.nbytes:
                 raise ValueError(f"the stream has {len(data)} bytes for {count} rows")
@@ -124,7 +133,7 @@ def fit(
     tables, paper = table_model(model), RowModel(channels, PAPER)
     if values.size <= EXACT_SIZE[level]:
         models = [tables, paper, RowModel(channels, RAW)]
-        if level == "max" and rows >= LEAST_MIXED_ROWS * len(chunks):
+        if _mixes(level, all_rows):
             models.insert(0, table_model(model_search.choose_mixed(model, all_rows)))
         return min(models, key=lambda one: _size(one, all_rows))
     if size >= 4 * values.size:
@@ -136,6 +145,19 @@ def fit(
     if not many and abs(paper_size - size) < size // 100:  # too close for an estimate
         size = _size(tables, all_rows)
     return paper if paper_size < size else tables
+
+
+def fit_beside(
+    values: Ints, known: npt.NDArray[np.bool_], level: str, chunks: list[slice], near: NearRows
+) -> RowModel:
+    """The model of ``values`` (n, channels) int32 for readers that have the ``known`` channels."""
+    rows = RowChunks(np.ascontiguousarray(values, np.int32), chunks, near, known)
+    model, _ = model_search.fit(rows, search=level in ("default", "max"))
+    return table_model(model_search.choose_mixed(model, rows) if _mixes(level, rows) else model)
+
+
+def _mixes(level: str, rows: RowChunks) -> bool:
+    return level == "max" and len(rows.values) >= LEAST_MIXED_ROWS * len(rows.chunks)
 
 
 def _size(model: RowModel, rows: RowChunks) -> int:
@@ -150,10 +172,14 @@ def _sampled_size(model: RowModel, rows: RowChunks) -> int:
     return _size(model, RowChunks(sample, parts)) * count // len(sample)
 
 
-def read(header: bytes | memoryview, channels: int) -> RowModel:
-    """The model of a header; ValueError if the header is damaged."""
-    if header in (RAW, PAPER):
+def read(
+    header: bytes | memoryview, channels: int, known: npt.NDArray[np.bool_] | None = None
+) -> RowModel:
+    """The model of a header; ValueError if it is damaged, or other channels are ``known``."""
+    if known is None and header in (RAW, PAPER):
         return RowModel(channels, bytes(header))
     model = np.zeros(channels, CHANNEL)
     _codec.attributes_read(header, model)
+    if ((model["coder"] == KNOWN) != (False if known is None else known)).any():
+        raise ValueError("other channels are known than must be")
     return RowModel(channels, bytes(header), model)

@@ -15,6 +15,7 @@ from clgs.codec import octree, weights
 from clgs.codec.attributes import row_coder
 from clgs.codec.container import chunks, sections
 from clgs.codec.container.chunks import HEAD_SIZE, TAGS, ByteRange, Chunk
+from clgs.codec.container.detl import Details, known_channels, unpack_details
 from clgs.codec.container.geor import unpack_geor
 from clgs.codec.container.layers import Layer, unpack_layers
 from clgs.codec.container.meta import SCALING_DIM, unpack_meta
@@ -23,6 +24,7 @@ from clgs.codec.container.sections import (
     ANCH,
     BODY,
     CHNK,
+    DETL,
     FEAT,
     GEOR,
     LAYR,
@@ -53,7 +55,7 @@ _T = TypeVar("_T")
 class SceneReader:
     """META and the head of CHNK, checked, and functions for the chunks, which threads may share.
 
-    ``layers``: of a file in layers, else none.
+    ``layers``: of a file in layers, else none; ``details``: what its last one adds, or None.
 
     Raises:
         CodecError: one of them is damaged, or other sections are not as long as CHNK says.
@@ -78,10 +80,15 @@ class SceneReader:
         self.head = head = guarded(part, chunks.unpack_head)
         guarded(part, lambda _: chunks.check_head(head, self.meta))
         layered = LAYR in table.entries
+        self.details: Details | None = None
+        if DETL in table.entries:
+            listed = sections.read_section(source, table.entries[DETL])
+            self.details = guarded(listed, unpack_details, head.count, head.length(BODY))
         sizes = {CHNK: head.size, **{tag: head.length(tag) for tag in TAGS}}
         if layered:
             shared = {tag: place.length for tag, (place, _) in head.headers.items()}
-            sizes |= {**shared, BODY: head.length(BODY)}
+            details = self.details.size if self.details else 0
+            sizes |= {**shared, BODY: head.length(BODY) + details}
         # No count is believed before there are bytes that can hold it.
         for tag, size in sizes.items():
             length = table.entries[tag].length
@@ -94,7 +101,7 @@ class SceneReader:
             part = sections.read_section(source, table.entries[LAYR])
             self.layers = guarded(part, unpack_layers, head.count)
         self._home = {tag: BODY if layered else tag for tag in TAGS}
-        self._fetched: dict[int, Section] = {}
+        self._fetched: dict[tuple[int, bool], Section] = {}
 
     def chunks(self, meets: Meets | None = None) -> list[Chunk]:
         """All chunks, or those whose box ``meets`` takes; then other groups are not read.
@@ -126,8 +133,13 @@ class SceneReader:
         """Where BODY begins, in a file in layers."""
         return self._entries[BODY].offset
 
+    @property
+    def layer_count(self) -> int:
+        """How many layers the file was made with, that of details included; 0 without layers."""
+        return len(self.layers) + (self.details is not None)
+
     def layer_ends(self) -> list[int]:
-        """The number of chunks up to the end of each layer; none without layers."""
+        """The number of chunks up to the end of each layer of anchors; none without layers."""
         return list(accumulate(layer.chunks for layer in self.layers))
 
     def whole_layers(self) -> int:
@@ -138,29 +150,39 @@ class SceneReader:
         """
         there = self._source.size - self.body
         if there >= self._entries[BODY].length:
-            return len(self.layers)
+            return self.layer_count
         listed = [chunk for index in range(len(self.head.places)) for chunk in self._group(index)]
         whole = sum(listed[end - 1].end <= there for end in self.layer_ends())
         if whole == 0:
             missing = listed[self.layers[0].chunks - 1].end - there
             what = f"the file is cut {missing} bytes before the end of layer 1"
-            raise self.error(BODY, f"{what} of {len(self.layers)}")
+            raise self.error(BODY, f"{what} of {self.layer_count}")
         return whole
 
-    def fetch(self, listed: list[Chunk]) -> None:
-        """Read the chunks of a file in layers, neighbours at once, and keep them."""
-        runs: list[list[Chunk]] = []
-        for chunk in listed:
-            if runs and runs[-1][-1].end == chunk.start:
-                runs[-1].append(chunk)
+    def fetch(self, listed: list[Chunk], details: bool = False) -> None:
+        """Read the chunks of a file in layers, or their details, neighbours at once, to keep."""
+        places = [self._range(chunk, details) for chunk in listed]
+        runs: list[list[int]] = []
+        for i, place in enumerate(places):
+            if i > 0 and places[i - 1].offset + places[i - 1].length == place.offset:
+                runs[-1].append(i)
             else:
-                runs.append([chunk])
+                runs.append([i])
         for run in runs:
-            part = self._read(BODY, ByteRange(run[0].start, run[-1].end - run[0].start))
-            for chunk in run:
-                at = chunk.start - run[0].start
-                data = part.data[at : at + chunk.end - chunk.start]
-                self._fetched[chunk.number] = Section(BODY, part.offset + at, data)
+            length = sum(places[i].length for i in run)
+            part = self._read(BODY, ByteRange(places[run[0]].offset, length))
+            for i in run:
+                at = places[i].offset - places[run[0]].offset
+                section = Section(BODY, part.offset + at, part.data[at : at + places[i].length])
+                self._fetched[listed[i].number, details] = section
+
+    def _range(self, chunk: Chunk, details: bool) -> ByteRange:
+        """The bytes of a chunk of a file in layers, or of its details."""
+        if not details:
+            return ByteRange(chunk.start, chunk.end - chunk.start)
+        assert self.details is not None
+        parts = self.details.places[chunk.number].values()
+        return ByteRange(min(part.offset for part in parts), sum(part.length for part in parts))
 
     def positions(self, chunk: Chunk) -> npt.NDArray[np.int32]:
         """Positions (n, 3) int32 of a chunk; CodecError if the chunk is damaged."""
@@ -199,6 +221,27 @@ class SceneReader:
         part = self._verified(tag, *self.head.headers[tag], "checksum of the header differs")
         return guarded(part, row_coder.read, CHANNELS[tag])
 
+    def detail_streams(self, chunk: Chunk) -> dict[str, Section]:
+        """The bytes of the details of a chunk, by section; CodecError if they are damaged."""
+        assert self.details is not None
+        place = self._range(chunk, True)
+        part = self._fetched.get((chunk.number, True)) or self._read(BODY, place)
+        if _codec.crc32c(part.data) != self.details.crcs[chunk.number]:
+            raise part.error(f"chunk {chunk.number}: the checksum of its details differs")
+        found = {}
+        for tag, own in self.details.places[chunk.number].items():
+            at = own.offset - place.offset
+            found[tag] = Section(BODY, part.offset + at, part.data[at : at + own.length])
+        return found
+
+    def detail_model(self, tag: str) -> row_coder.RowModel:
+        """The model that the details of all chunks share; CodecError if its header is damaged."""
+        assert self.details is not None
+        place, crc = self.details.headers[tag]
+        part = self._verified(BODY, place, crc, f"checksum of the header for {tag} differs")
+        channels = 2 * CHANNELS[tag]
+        return guarded(part, row_coder.read, channels, known_channels(channels))
+
     def weights(self) -> npt.NDArray[np.float32]:
         """The weights of the MLPs (13710,) float32; CodecError if the section is damaged."""
         return decode_weights(sections.read_section(self._source, self._entries[MLPS]))
@@ -215,7 +258,7 @@ class SceneReader:
     def _part(self, chunk: Chunk, tag: str) -> Section:
         """The bytes of a chunk that section ``tag`` has in a file without layers."""
         place = chunk.places[tag]
-        if (fetched := self._fetched.get(chunk.number)) is None:
+        if (fetched := self._fetched.get((chunk.number, False))) is None:
             return self._read(self._home[tag], place)
         at = place.offset - chunk.start
         return Section(BODY, fetched.offset + at, fetched.data[at : at + place.length])

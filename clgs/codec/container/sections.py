@@ -26,15 +26,16 @@ GEOR, PHOT = "GEOR", "PHOT"
 OPTIONAL = (GEOR, PHOT)
 """Sections that a file of a scene may have after the required ones; a reader may skip them."""
 
-LAYR, BODY = "LAYR", "BODY"
-"""Sections that a file in layers has after all others: its layers, and the bytes of all chunks."""
+LAYR, DETL, BODY = "LAYR", "DETL", "BODY"
+"""Sections that a file in layers has after all others: its layers, what the last one adds to all
+anchors if it is one of details, and the bytes of all chunks."""
 
 SPLT, SPOS, SMUL, SATR = "SPLT", "SPOS", "SMUL", "SATR"
 SPLATS = (SPLT, SPOS, SMUL, SATR)
 """The required sections of a file that holds splats in place of a scene."""
 
 MAJOR = 1
-MINOR_WITH = {GEOR: 1, LAYR: 2, PHOT: 3}
+MINOR_WITH = {GEOR: 1, LAYR: 2, PHOT: 3, DETL: 4}
 """The version that is written is 1.0, or the highest 1.n of its sections; any 1.n is read."""
 
 REQUIRED = 1
@@ -172,7 +173,7 @@ def read_container(data: bytes, splats: bool = False) -> tuple[SectionTable, dic
         for tag, entry in table.entries.items()
         if entry.offset + entry.length <= source.size
     }
-    known = SPLATS if splats else (*SCENE, *OPTIONAL, LAYR, BODY)
+    known = SPLATS if splats else (*SCENE, *OPTIONAL, LAYR, DETL, BODY)
     return table, {tag: sections[tag] for tag in known if tag in sections}
 
 
@@ -218,7 +219,9 @@ def read_table(source: RandomAccess, splats: bool = False) -> SectionTable:
         raise damage("section table at byte 16", f"section {missing[0]} is missing")
     if [tag for tag in entries if tag in known] != list(known):
         raise damage("section table at byte 16", f"order is {' '.join(entries)}")
-    if not splats and (LAYR in entries or BODY in entries) and [*entries][-2:] != [LAYR, BODY]:
+    layered = [tag for tag in (LAYR, DETL, BODY) if tag in entries]
+    complete = not layered or {LAYR, BODY} <= set(layered)
+    if not splats and not (complete and [*entries][len(entries) - len(layered) :] == layered):
         raise damage("section table at byte 16", "LAYR and BODY are not the last sections")
     return SectionTable(f"{MAJOR}.{minor}", entries, end)
 
@@ -233,7 +236,7 @@ def _add_entry(
     """The entry at byte ``at``, which is added to ``entries`` unless it must be refused."""
     raw_tag, flags, offset, length, crc, reserved = fields
     tag = raw_tag.decode("ascii", "replace")
-    known = known if splats else (*known, LAYR, BODY)
+    known = known if splats else (*known, LAYR, DETL, BODY)
     malformed = not raw_tag.isalpha() or reserved != 0 or flags > REQUIRED
     if malformed or tag in entries or (tag in known and flags != REQUIRED):
         raise damage(f"section table at byte {at}", f"entry {tag!r} is repeated or malformed")

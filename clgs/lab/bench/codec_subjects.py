@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from clgs.codec import morton_order
 from clgs.codec.scene_decoder import decode
-from clgs.codec.scene_encoder import flatten
 from clgs.codec.streams import check_integers
 from clgs.constants import FEATURE_DIM, K_OFFSETS
 from clgs.errors import CodecError, DataError
@@ -115,7 +114,8 @@ def seeded_scene(anchors: int, seed: int) -> QuantizedScene:
 def scene_subjects(name: str, scene: QuantizedScene) -> list[CodedData]:
     """The parts of a scene, each alone, and the whole file."""
     a = scene.anchors
-    parts = {"offset": flatten(a.offset), "feature": a.feature, "scaling": a.scaling}
+    parts = {"offset": a.offset.reshape(len(a), 3 * K_OFFSETS), "feature": a.feature}
+    parts["scaling"] = a.scaling
     return [
         *[CodedData(f"{name} {part}", "attributes", rows) for part, rows in parts.items()],
         CodedData(f"{name} position", "positions", a.position),

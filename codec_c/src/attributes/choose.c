@@ -185,9 +185,12 @@ static void find_classes(chooser *c, const uint32_t *count)
 static uint64_t choose(chooser *c, clgs_channel *channel, const uint32_t *count)
 {
     uint64_t cost = 0;
-    find_classes(c, count);
     memset(channel->class_of, 0, sizeof channel->class_of);
     memset(channel->frequency, 0, sizeof channel->frequency);
+    channel->classes = 1;
+    if (channel->coder == CLGS_KNOWN)
+        return 0;
+    find_classes(c, count);
     channel->classes = (int32_t)c->segments;
     for (uint32_t k = 0; k < c->segments; k++) {
         set_frequencies(c->segment + k, channel->frequency[k]);

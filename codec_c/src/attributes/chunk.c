@@ -27,11 +27,11 @@ static size_t staging_size(size_t cells)
     return 2 * (cells + CLGS_LANES) + cells;
 }
 
-static size_t mixed_channels(const clgs_channel *channel, size_t channels)
+static size_t channels_with(const clgs_channel *channel, size_t channels, int32_t coder)
 {
     size_t count = 0;
     for (size_t j = 0; j < channels; j++)
-        count += channel[j].coder == CLGS_MIXED;
+        count += channel[j].coder == coder;
     return count;
 }
 
@@ -39,7 +39,7 @@ size_t clgs_attributes_bound(const void *model, size_t rows, size_t channels)
 {
     if (cell_count(rows, channels) == 0)
         return 0;
-    size_t mixed = mixed_channels(model, channels);
+    size_t mixed = channels_with(model, channels, CLGS_MIXED);
     return PREFIX + STATES + 6 * rows * (channels - mixed) + 8 + CLGS_MIXED_MOST * rows * mixed + 8;
 }
 
@@ -149,13 +149,13 @@ size_t clgs_attributes_encode(const void *model, const int32_t *value, const int
     if (cell_count(rows, channels) == 0 || !clgs_model_valid(model, channels) ||
         capacity < clgs_attributes_bound(model, rows, channels))
         return 0;
-    size_t mixed = mixed_channels(model, channels);
+    size_t mixed = channels_with(model, channels, CLGS_MIXED);
     parts p = place(&columns, workspace);
     if (!p.tables)
         return 0;
     clgs_columns_load(&columns, value);
     uint8_t *at = encode_literals(&columns, p.cell, out);
-    if (mixed < channels)
+    if (channels_with(model, channels, CLGS_STATIC) > 0)
         at = encode_static(&columns, &p, mixed > 0, at);
     if (at && mixed > 0)
         at = encode_mixed(&columns, p.mixed, at, out + capacity);
@@ -194,13 +194,15 @@ static int decode_static(clgs_columns *columns, decoder *d, size_t j)
 
 static clgs_error decode_columns(clgs_columns *columns, decoder *d)
 {
-    size_t mixed = mixed_channels(columns->channel, columns->channels);
+    size_t mixed = channels_with(columns->channel, columns->channels, CLGS_MIXED);
     if (mixed > 0)
         clgs_mixed_init(d->mixed);
     for (size_t j = 0; j < columns->channels; j++) {
         int fine = 1;
         if (columns->channel[j].coder == CLGS_STATIC) {
             fine = decode_static(columns, d, j);
+        } else if (columns->channel[j].coder == CLGS_KNOWN) {
+            clgs_literals_split(columns, j, NULL);
         } else {
             clgs_mixed_code(d->mixed, &d->range, columns, j);
             fine = !d->range.failed;
@@ -211,7 +213,8 @@ static clgs_error decode_columns(clgs_columns *columns, decoder *d)
         clgs_columns_activate(columns, j);
     }
     clgs_error error = mixed > 0 ? clgs_range_end_decode(&d->range) : CLGS_OK;
-    return error || mixed == columns->channels ? error : finish(&d->rans, &d->literals);
+    size_t tables = channels_with(columns->channel, columns->channels, CLGS_STATIC);
+    return error || tables == 0 ? error : finish(&d->rans, &d->literals);
 }
 
 /* A number of bytes that end before `end`; NULL if they do not. */
@@ -229,19 +232,21 @@ static const uint8_t *load_size(const uint8_t *at, const uint8_t *end, size_t *s
 static clgs_error open_chunk(decoder *d, const clgs_columns *columns, const uint8_t *at,
                              const uint8_t *end)
 {
-    size_t mixed = mixed_channels(columns->channel, columns->channels), size = 0;
+    size_t mixed = channels_with(columns->channel, columns->channels, CLGS_MIXED), size = 0;
     clgs_error error = CLGS_OK;
     if (any_literals(columns) && !(at = load_size(at, end, &size)))
         return CLGS_ERROR_TRUNCATED;
     d->literals = (clgs_literals){.at = at, .end = at + size};
     at += size;
     size = (size_t)(end - at);
-    if (mixed < columns->channels) {
+    if (channels_with(columns->channel, columns->channels, CLGS_STATIC) > 0) {
         if (mixed > 0 && !(at = load_size(at, end, &size)))
             return CLGS_ERROR_TRUNCATED;
         error = clgs_rans_begin_decode(&d->rans, columns->lanes, at, at + size);
         at += size;
     }
+    if (mixed == 0 && at != end)
+        error = CLGS_ERROR_TRAILING;
     if (mixed > 0)
         clgs_range_begin_decode(&d->range, at, (size_t)(end - at));
     return error;
@@ -260,6 +265,8 @@ clgs_error clgs_attributes_decode(const void *model, const uint8_t *data, size_t
         return CLGS_ERROR_ARGUMENT;
     d.rans.table = p.tables;
     d.mixed = p.mixed;
+    if (channels_with(model, channels, CLGS_KNOWN) > 0)
+        clgs_columns_load(&columns, value);
     clgs_error error = open_chunk(&d, &columns, data, data + size);
     if (error == CLGS_OK)
         error = decode_columns(&columns, &d);

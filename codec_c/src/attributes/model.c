@@ -161,8 +161,8 @@ static void code_channel(header *h, clgs_channel *channel, int32_t j)
             code_within(h, FIELD_WEIGHT + i, channel->weight[i], 0, CLGS_MAX_WEIGHT);
     channel->span =
         code_within(h, FIELD_SPAN, channel->span, 0, j < CLGS_MAX_SPAN ? j : CLGS_MAX_SPAN);
-    channel->coder = code_within(h, FIELD_CODER, channel->coder, CLGS_STATIC, CLGS_MIXED);
-    if (channel->coder == CLGS_MIXED) {
+    channel->coder = code_within(h, FIELD_CODER, channel->coder, CLGS_STATIC, CLGS_KNOWN);
+    if (channel->coder != CLGS_STATIC) {
         channel->classes = 1;
         return;
     }
@@ -253,6 +253,8 @@ static int tables_valid(const clgs_channel *channel)
 {
     if (channel->coder == CLGS_MIXED)
         return channel->classes == 1;
+    if (channel->coder == CLGS_KNOWN)
+        return channel->classes == 1 && channel->taps == 0;
     if (channel->coder != CLGS_STATIC || !within(channel->classes, 1, CLGS_CLASSES))
         return 0;
     for (uint32_t cell = 0; cell < CLGS_CELLS; cell++)

@@ -30,7 +30,8 @@
 #define CLGS_SCALE_BITS 12
 #define CLGS_SCALE (1u << CLGS_SCALE_BITS)
 
-enum { CLGS_STATIC = 0, CLGS_MIXED = 1 };
+/* Known channels are not coded: both sides have their values, and others may look at them. */
+enum { CLGS_STATIC = 0, CLGS_MIXED = 1, CLGS_KNOWN = 2 };
 
 typedef struct clgs_tap {
     int32_t channel; /* this one or an earlier one */

@@ -1,0 +1,116 @@
+"""Section DETL: the precision that the last layer of a file adds to anchors (codec_c/FORMAT.md).
+
+Chunks hold values divided by an odd step and rounded; their details are what is left of them.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from itertools import accumulate
+
+import numpy as np
+import numpy.typing as npt
+
+from clgs import _codec
+from clgs.codec.container.chunks import TAGS, ByteRange
+from clgs.scene.anchors import QuantizedAnchors
+
+ROWS = TAGS[1:]
+"""The sections that have details, in the order of the columns."""
+
+STEP, MAX_STEP = 3, 255
+"""The step that is written, and the greatest. At 5, the rounded features show next to nothing."""
+
+MAX_VALUE = 1 << 30
+"""Values are divided if all are below it, so that no product leaves int32."""
+
+_HEAD = struct.Struct("<7I")
+
+
+@dataclass(frozen=True)
+class Details:
+    """What DETL says.
+
+    headers: for each of ROWS the bytes that all chunks share, with their CRC; places: of each chunk
+    its bytes for each of ROWS, one after the other, all in BODY; crcs: of these; size: bytes of all
+    details in BODY.
+    """
+
+    step: int
+    headers: dict[str, tuple[ByteRange, int]]
+    places: list[dict[str, ByteRange]]
+    crcs: list[int]
+    size: int
+
+
+def pack_details(step: int, coded: dict[str, tuple[bytes, list[bytes]]]) -> tuple[bytes, bytes]:
+    """Section DETL, and what follows the chunks in BODY.
+
+    ``coded`` has for each of ROWS the header that chunks share, and the details of each chunk.
+    """
+    headers, streams = zip(*(coded[tag] for tag in ROWS), strict=True)
+    parts = [b"".join(chunk) for chunk in zip(*streams, strict=True)]
+    shared = [number for header in headers for number in (len(header), _codec.crc32c(header))]
+    crcs = struct.pack(f"<{len(parts)}I", *map(_codec.crc32c, parts))
+    sizes = np.array([[len(data) for data in stream] for stream in streams], np.int32).T
+    listed = _codec.runlength_encode(np.ascontiguousarray(sizes), len(ROWS))
+    section = _HEAD.pack(step, *shared) + crcs + listed
+    return section, b"".join([*headers, *parts])
+
+
+def unpack_details(data: bytes | memoryview, chunks: int, begin: int) -> Details:
+    """What DETL says of a file of ``chunks`` chunks, which end at byte ``begin`` of BODY.
+
+    Raises:
+        ValueError: it is cut, or a number is out of range.
+    """
+    if len(data) < _HEAD.size + 4 * chunks:
+        raise ValueError(f"{len(data)} bytes cannot hold {chunks} chunks")
+    step, *shared = _HEAD.unpack_from(data)
+    if step % 2 == 0 or step > MAX_STEP:
+        raise ValueError(f"step {step} is not an odd number up to {MAX_STEP}")
+    crcs = struct.unpack_from(f"<{chunks}I", data, _HEAD.size)
+    sizes = np.empty((chunks, len(ROWS)), np.int32)
+    _codec.runlength_decode(data[_HEAD.size + 4 * chunks :], sizes, len(ROWS))
+    if (sizes < 0).any():
+        raise ValueError("a chunk has a negative length")
+    lengths = [*shared[::2], *sizes.ravel().tolist()]
+    ends = list(accumulate(lengths, initial=begin))
+    ranges = [ByteRange(at, length) for at, length in zip(ends, lengths, strict=False)]
+    headers = dict(zip(ROWS, zip(ranges, shared[1::2], strict=False), strict=True))
+    per_chunk = (ranges[first : first + 3] for first in range(3, len(ranges), 3))
+    places = [dict(zip(ROWS, three, strict=True)) for three in per_chunk]
+    return Details(step, headers, places, list(crcs), ends[-1] - begin)
+
+
+def round_attributes(anchors: QuantizedAnchors) -> tuple[QuantizedAnchors, int]:
+    """The anchors with all but positions rounded to multiples of a step, and this step."""
+    arrays = [array for name, array in anchors.items() if name != "position"]
+    step = (
+        STEP if all(-MAX_VALUE < array.min() <= array.max() < MAX_VALUE for array in arrays) else 1
+    )
+    rounded = ((array + step // 2) // step * step for array in arrays)
+    return QuantizedAnchors(anchors.position, *rounded), step
+
+
+def times(coarse: npt.NDArray[np.int32], step: int) -> npt.NDArray[np.int32]:
+    """Coarse values as integers of the scene; ValueError if they are outside of int32."""
+    values = coarse.astype(np.int64) * step
+    if values.size and (values.min() < -(2**31) or values.max() >= 2**31):
+        raise ValueError("a coarse value is outside of int32")
+    return values.astype(np.int32)
+
+
+def interleave(
+    coarse: npt.NDArray[np.int32], rest: npt.NDArray[np.int32] | int = 0
+) -> npt.NDArray[np.int32]:
+    """Rows (n, 2 C) of each coarse value and what is left of it, as the attribute coder has it."""
+    both = np.empty((len(coarse), 2 * coarse.shape[1]), np.int32)
+    both[:, ::2], both[:, 1::2] = coarse, rest
+    return both
+
+
+def known_channels(channels: int) -> npt.NDArray[np.bool_]:
+    """Which of 2 C = ``channels`` interleaved ones a reader has: the coarse values."""
+    return np.array([channel % 2 == 0 for channel in range(channels)])
