@@ -106,15 +106,15 @@ def encode(
         if layers is not None:
             anchors, ends = _in_layers(scene, whole, layers - detailed, importance)
         position = anchors.position
-        rows, beside = attribute_rows(anchors), dict[str, npt.NDArray[np.int32]]()
+        rows, detail_rows = attribute_rows(anchors), dict[str, npt.NDArray[np.int32]]()
         if detailed:
             anchors, step = round_attributes(anchors)
-            rows, beside = _split(rows, attribute_rows(anchors), step)
+            rows, detail_rows = _split(rows, attribute_rows(anchors), step)
         cuts = [octree.cut(position, chunk, slice(*layer_ends)) for layer_ends in pairwise(ends)]
         spans = [span for cut in cuts for span in cut]
         near = NearRows(position, spans)
         origins = octree.cell_corners(position, spans)
-        every = rows | beside
+        every = rows | detail_rows
 
         def encode_positions(batch: range) -> list[bytes]:
             return [octree.encode_in(position[spans[i]], origins[i]) for i in batch]
@@ -126,9 +126,9 @@ def encode(
         # What takes longest begins first.
         hashes = pool.map(array_hash, content_arrays(whole, scene.mlps.flat))
         models = {tag: pool.submit(row_coder.fit, rows[tag], level, spans, near) for tag in rows}
-        for tag, both in beside.items():
+        for tag, both in detail_rows.items():
             known = known_channels(both.shape[1])
-            models[tag] = pool.submit(row_coder.fit_beside, both, known, level, spans, near)
+            models[tag] = pool.submit(row_coder.fit_with_known, both, known, level, spans, near)
         batches = octree.batches(spans)
         tasks = {ANCH: [pool.submit(encode_positions, batch) for batch in batches]}
         packed = pool.submit(weights.encode, scene.mlps.flat, mlp)
@@ -220,10 +220,9 @@ def _in_layers(
 def _split(
     rows: dict[str, npt.NDArray[np.int32]], rounded: dict[str, npt.NDArray[np.int32]], step: int
 ) -> tuple[dict[str, npt.NDArray[np.int32]], dict[str, npt.NDArray[np.int32]]]:
-    """The coarse values of ``rows``, and by DETAILS these beside what is left of them."""
+    """The coarse values of ``rows``; and, by DETAILS, these next to what is left of them."""
     coarse = {tag: array // step for tag, array in rounded.items()}
-    beside = {DETAILS[tag]: interleave(coarse[tag], rows[tag] - rounded[tag]) for tag in rows}
-    return coarse, beside
+    return coarse, {DETAILS[tag]: interleave(coarse[tag], rows[tag] - rounded[tag]) for tag in rows}
 
 
 def attribute_rows(anchors: QuantizedAnchors) -> dict[str, npt.NDArray[np.int32]]:

@@ -44,7 +44,7 @@ def main() -> None:
 
     orders = {"around": None, "views": importance_in_views(args.scene, scene, views)}
     for name, importance in orders.items():
-        data = encode(scene, layers=args.layers, importance=importance)
+        data = encode(scene, layers=args.layers, importance=importance, details=True)
         overhead = round(100 * (len(data) / len(plain) - 1), 2)
         for number, layer in enumerate(describe(data)["layers"], 1):
             row = {"scene": args.scene.stem, "order": name, "layer": number, **layer}

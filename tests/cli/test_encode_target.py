@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+import numpy as np
 import pytest
 
 from clgs.cli.commands.encode import size
@@ -134,6 +135,19 @@ def test_an_older_file_learns_of_its_photos(scene, target, tmp_path, capsys):
     assert main(["encode", scene, "-o", str(tmp_path / "no.clgs"), *gone]) == 3
     assert capsys.readouterr().err.endswith("x: no such folder; check the path\n")
     assert not (tmp_path / "no.clgs").exists()
+
+
+def test_the_last_of_several_layers_is_the_precision_of_all_anchors(scene, target):
+    assert main(["encode", scene, "-o", str(target), "--layers", "3"]) == 0
+    data = target.read_bytes()
+    whole, coarse = decode(data), decode(data, layers=2)
+    assert [layer["anchors"] > 0 for layer in describe(data)["layers"]] == [True, True, False]
+    assert describe(data)["content_hash"] == describe(encode(load_scene(scene)))["content_hash"]
+    np.testing.assert_array_equal(coarse.anchors.position, whole.anchors.position)
+    np.testing.assert_array_equal(coarse.anchors.feature % 3, 0)
+    assert abs(coarse.anchors.feature - whole.anchors.feature).max() == 1
+    assert main(["encode", scene, "-o", str(target), "--layers", "1", "--overwrite"]) == 0
+    assert describe(target.read_bytes())["version"] == "1.2"
 
 
 @pytest.mark.slow

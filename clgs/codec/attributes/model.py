@@ -18,7 +18,7 @@ Models: TypeAlias = npt.NDArray[Any]
 
 TAPS, CELLS, CLASSES, TABLE, SCALE = 16, 64, 16, 256, 4096
 MIXED, KNOWN = 1, 2
-"""Coders besides tables, 0; a reader has the values of known channels already."""
+"""Coders other than tables (0); a reader has the values of known channels already."""
 
 NEAR = -4
 """The row of a tap that looks at the near rows: those before it whose positions are nearest."""

@@ -147,7 +147,7 @@ def fit(
     return paper if paper_size < size else tables
 
 
-def fit_beside(
+def fit_with_known(
     values: Ints, known: npt.NDArray[np.bool_], level: str, chunks: list[slice], near: NearRows
 ) -> RowModel:
     """The model of ``values`` (n, channels) int32 for readers that have the ``known`` channels."""
