@@ -51,6 +51,7 @@ def golden_file(name: str) -> bytes:
 
 OPTIONS: dict[str, dict[str, Any]] = {
     "chunks": {"chunk": 64},
+    "details": {"chunk": 64, "layers": 3, "details": True},
     "fast": {"level": "fast"},
     "layers": {"chunk": 64, "layers": 3},
     "max": {"level": "max"},
@@ -72,6 +73,7 @@ def golden_scenes() -> dict[str, QuantizedScene]:
         "max": _follow(_scene(_surface(17), 1, 16), 1),
         "paper": _scene(_scattered(), 9, 17),
         "layers": _follow(_scene(_surface(13), 2, 19, settings, transform), 2),
+        "details": _follow(_scene(_surface(13), 5, 20, settings, transform), 2),
         "deep": _scene(_deep(), 2**31 - 1, 18),
     }
 

@@ -50,6 +50,7 @@ class Channel:
     weights: tuple[int, ...] = (0, 0, 0)
     span: int = 0
     mixed: bool = False
+    known: bool = False
     classes: list[int] = field(default_factory=lambda: 64 * [0])
     tables: list[FrequencyTable] = field(default_factory=list)
 
@@ -88,10 +89,12 @@ class HeaderDecoder:
             channel.gain = self.number("gain", 0, 65535)
             channel.weights = tuple(self.number(f"weight {k}", 0, 8191) for k in range(3))
             channel.span = self.number("span", 0, min(j, 2))
-            channel.mixed = self.number("coder", 0, 1) == 1
-            if not channel.mixed:
+            coder = self.number("coder", 0, 2)
+            channel.mixed, channel.known = coder == 1, coder == 2
+            check(not (channel.known and channel.taps), "a known channel with taps")
+            if coder == 0:
                 self.read_classes(channel)
-        if not channel.mixed:
+        if not (channel.mixed or channel.known):
             channel.tables = [self.table() for _ in range(max(channel.classes) + 1)]
         return channel
 
@@ -217,12 +220,20 @@ def magnitude(symbol: int, gain: int) -> int:
 
 
 class TableChunk:
-    """A chunk of mode 1: all its channels, one after another."""
+    """A chunk of mode 1: all its channels, one after another; `known` are rows of known values."""
 
-    def __init__(self, data: bytes, n: int, channels: list[Channel], near: list[list[int]]) -> None:
+    def __init__(
+        self,
+        data: bytes,
+        n: int,
+        channels: list[Channel],
+        near: list[list[int]],
+        known: np.ndarray | None = None,
+    ) -> None:
         self.n = n
         self.channels = channels
         self.near = near
+        self.known = known
         reader = ByteReader(data)
         tables = [table for channel in channels for table in channel.tables]
         literal = any(f for table in tables for f in table.frequencies[128:])
@@ -244,7 +255,9 @@ class TableChunk:
         for j, channel in enumerate(self.channels):
             for columns in (self.symbols, self.values, self.clamped):
                 columns.append(self.n * [0])
-            if channel.mixed:
+            if channel.known:
+                self.take_known(channel)
+            elif channel.mixed:
                 self.decode_mixed(channel)
             else:
                 self.decode_tables(channel)
@@ -288,6 +301,13 @@ class TableChunk:
         self.values[-1][i] = value
         self.clamped[-1][i] = clamp(value, -32767, 32767)
 
+    def take_known(self, channel: Channel) -> None:
+        """A known channel (7.1): what other channels see of it."""
+        assert self.known is not None
+        for i, value in enumerate(self.known[:, len(self.values) - 1].tolist()):
+            self.set_value(i, wrap(value - channel.centre))
+            self.symbols[-1][i] = symbol_of(self.values[-1][i])
+
     def decode_tables(self, channel: Channel) -> None:
         """A channel with tables (7.4)."""
         assert self.words is not None
@@ -320,22 +340,33 @@ class TableChunk:
 
 
 class Attributes:
-    """A decoder of the chunks that share a header."""
+    """A decoder of the chunks that share a header; `known` says which channels must be known."""
 
-    def __init__(self, header: bytes, columns: int) -> None:
+    def __init__(self, header: bytes, columns: int, known: list[bool] | None = None) -> None:
         check(len(header) > 0, "no header of attributes")
         self.mode, self.columns = header[0], columns
         alone = self.mode in (0, 2) and len(header) == 1
         check(self.mode == 1 or alone, f"a header of mode {self.mode}")
         self.channels = HeaderDecoder(header[1:]).decode(columns) if self.mode == 1 else []
+        wanted = [False] * len(self.channels) if known is None else known
+        check([c.known for c in self.channels] == wanted, "other channels are known")
 
     @property
     def looks_near(self) -> bool:
         """Whether a term looks at near rows."""
         return any(row == NEAR for channel in self.channels for _, row, _ in channel.taps)
 
-    def decode(self, data: bytes, n: int, near: list[list[int]] | None = None) -> np.ndarray:
-        """A chunk of n rows as int32; `near` is given if the rows have positions."""
+    def decode(
+        self,
+        data: bytes,
+        n: int,
+        near: list[list[int]] | None = None,
+        known: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """A chunk of n rows as int32; `near` is given if the rows have positions.
+
+        `known`: n rows with the values of known channels, if there are any.
+        """
         check(n * self.columns <= 2**28, "too many values")
         if self.mode == 0:
             check(len(data) == 4 * n * self.columns, "values of a wrong length")
@@ -344,7 +375,7 @@ class Attributes:
             return np.array(decode_paper_rows(data, n, self.columns), np.int32)
         if near is None:  # the rows before
             near = [list(range(i - 1, max(i - 5, -1), -1)) for i in range(n)]
-        return TableChunk(data, n, self.channels, near).decode()
+        return TableChunk(data, n, self.channels, near, known).decode()
 
 
 def near_rows(positions: list[list[int]]) -> list[list[int]]:

@@ -10,6 +10,7 @@ import numpy as np
 from .arrays import Corner, check_order, declared_shape, decode_attributes, decode_positions
 from .attributes import Attributes, near_rows
 from .coding import ByteReader, check, crc32c, in_int32, morton_code, xxh64
+from .details import Details, add_details, products, read_details
 from .octree import decode_octree
 from .rows import WEIGHTS, decode_rows, decode_weights
 
@@ -17,6 +18,7 @@ MAGIC = bytes.fromhex("8B434C47530D0A1A")
 SCENE = ("META", "CHNK", "ANCH", "OFFS", "FEAT", "SCAL", "MLPS")
 SPLATS = ("SPLT", "SPOS", "SMUL", "SATR")
 LAYERED = ("LAYR", "BODY")
+DETAILED = ("LAYR", "DETL", "BODY")
 CHUNKED = ("ANCH", "OFFS", "FEAT", "SCAL")
 CHANNELS = {"OFFS": 30, "FEAT": 50, "SCAL": 6}
 LEVELS = ("fast", "default", "max", "paper")
@@ -112,7 +114,7 @@ def read_sections(data: bytes) -> dict[str, bytes]:
         flags, offset, length, crc, zero = table.fields("IQQII")
         check(name.isalpha(), f"a tag is {name!r}")  # of bytes: ASCII letters
         tag = name.decode("ascii")
-        layered = required == SCENE and tag in LAYERED
+        layered = required == SCENE and tag in DETAILED
         check(flags == (tag in required or layered), f"{tag}: flags {flags}")
         check(zero == 0, f"{tag}: the last field of its entry is not 0")
         check(offset == reader.at, f"{tag}: a gap or an overlap")
@@ -127,8 +129,10 @@ def read_sections(data: bytes) -> dict[str, bytes]:
             sections[tag] = section
     reader.finish()
     tags = tuple(sections)
-    check(tags in (required, required + LAYERED), f"the sections are {' '.join(sections)}")
-    check(tags == required or tuple(seen[-2:]) == LAYERED, "LAYR and BODY are not the last")
+    last = tags[len(required) :]
+    known = tags[: len(required)] == required and last in ((), LAYERED, DETAILED)
+    check(known, f"the sections are {' '.join(sections)}")
+    check(tuple(seen[len(seen) - len(last) :]) == last, "LAYR and BODY are not the last")
     return sections
 
 
@@ -190,11 +194,12 @@ class Directory(NamedTuple):
     """What section CHNK says.
 
     `headers` has length and CRC of the header of each of CHUNKED; `chunks` has the extent of each
-    chunk, the CRC of its positions and the CRC of its other parts.
+    chunk, the CRC of its positions and the CRC of its other parts. `details` is DETL, if any.
     """
 
     headers: list[tuple[int, int]]
     chunks: list[tuple[Extent, int, int]]
+    details: Details | None
 
 
 def read_layers(data: bytes, chunks: int) -> list[tuple[int, int]]:
@@ -223,11 +228,13 @@ def read_directory(sections: dict[str, bytes], meta: Meta) -> Directory:
     groups = _extents(decode_rows(rows, len(table) // 8, 11), [0, 0, 0], None)
     whole = _union(groups) if groups else Extent(0, [], [], 4 * [0])
     in_body = "BODY" in sections
+    details = read_details(sections["DETL"], count) if "DETL" in sections else None
     for tag, (length, _), bytes_of_chunks in zip(CHUNKED, headers, whole.sizes, strict=True):
         total = length + (0 if in_body else bytes_of_chunks)
         check(total == len(sections[tag]), f"CHNK: the bytes of {tag} do not add up")
     if in_body:
-        check(sum(whole.sizes) == length_of(sections["BODY"]), "CHNK: BODY does not add up")
+        total = sum(whole.sizes) + (details.total() if details else 0)
+        check(total == length_of(sections["BODY"]), "CHNK: BODY does not add up")
     check(whole.anchors == meta.anchors, "CHNK: the anchors do not add up")
     if groups:
         corners = [v for group in groups for v in group.least + group.greatest]
@@ -248,7 +255,7 @@ def read_directory(sections: dict[str, bytes], meta: Meta) -> Directory:
         check(_union(chunks) == group, "CHNK: the chunks of a group do not give its row")
         found += zip(chunks, crcs[:in_group], crcs[in_group:], strict=True)
     reader.finish()
-    return Directory(headers, found)
+    return Directory(headers, found, details)
 
 
 class SceneDecoder:
@@ -258,7 +265,7 @@ class SceneDecoder:
         self.weights = sections["MLPS"]
         self.meta = read_meta(sections["META"])
         directory = read_directory(sections, self.meta)
-        self.chunks = directory.chunks
+        self.chunks, self.details = directory.chunks, directory.details
         self.readers = {tag: ByteReader(sections[tag]) for tag in CHUNKED}
         self.decoders: dict[str, Attributes] = {}
         for tag, (length, crc) in zip(CHUNKED, directory.headers, strict=True):
@@ -301,9 +308,10 @@ class SceneDecoder:
             check(crc32c(b"".join(others)) == others_crc, "the CRC of a chunk differs")
             for (tag, decoder), data in zip(self.decoders.items(), others, strict=True):
                 near = near_rows(points) if decoder.looks_near else None
-                parts[tag].append(decoder.decode(data, chunk.anchors, near))
-        found = (np.concatenate(arrays) for arrays in parts.values())
-        return (np.array(positions, "<i4").reshape(-1, 3), *found)
+                found = decoder.decode(data, chunk.anchors, near)
+                parts[tag].append(products(found, self.details) if self.details else found)
+        joined = (np.concatenate(arrays) for arrays in parts.values())
+        return (np.array(positions, "<i4").reshape(-1, 3), *joined)
 
     def decode(self) -> Scene:
         """The scene, compared with its content hash; of a file that is cut the layers it has."""
@@ -322,13 +330,20 @@ class SceneDecoder:
             check(_hash(found[-1], weights) == expected, "LAYR: the hash of a layer differs")
         check(len(found) > 0, "the file is cut before its first layer ends")
         joined = tuple(np.concatenate(arrays) for arrays in zip(*found, strict=True))
+        there, layers, body = len(found), len(self.layers), self.readers["ANCH"]
+        if self.details is not None:
+            layers += 1
+            if there == len(self.layers) and body.left == self.details.total():
+                there += 1
+                counts = [chunk.anchors for chunk, *_ in self.chunks]
+                joined = add_details(self.details, body, joined, counts)
         codes = [morton_code(*(int(v) for v in point - self.meta.origin)) for point in joined[0]]
         order = sorted(range(len(codes)), key=codes.__getitem__)
         ordered = tuple(array[order] for array in joined)
         check_order(ordered[0].tolist(), self.meta.origin)
-        if len(found) == len(self.layers):
+        if there == layers:
             check(_hash(ordered, weights) == self.meta.content_hash, "META: the hash differs")
-        return self.scene(ordered, weights, (len(found), len(self.layers)))
+        return self.scene(ordered, weights, (there, layers))
 
     def scene(
         self, arrays: tuple[np.ndarray, ...], weights: np.ndarray, layers: tuple[int, int] = (0, 0)

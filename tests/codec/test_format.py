@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import struct
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +13,8 @@ from clgs import _codec, codec
 from clgs.codec import octree, splat_packing, streams, weights
 from clgs.codec.attributes import row_coder
 from clgs.codec.attributes.model import find_near
-from clgs.codec.container import chunks
+from clgs.codec.container import chunks, detl
+from clgs.codec.container.layers import Layer, pack_layers, unpack_layers
 from clgs.codec.container.sections import MAGIC, SPLATS, BytesSource, read_section, read_table
 from clgs.codec.scene_decoder import decode
 from clgs.codec.scene_encoder import encode
@@ -23,6 +25,8 @@ from codec_c.reader import attributes as reader_attributes
 from codec_c.reader import coding
 from codec_c.reader import octree as reader_octree
 from codec_c.reader.coding import ByteReader, xxh64
+from codec_c.reader.details import read_details
+from codec_c.reader.files import read_layers
 from codec_c.reader.octree import decode_octree
 from codec_c.reader.rows import decode_paper_rows, decode_rows, decode_weights
 from tests.codec.samples import encode_paper, encode_run_lengths
@@ -46,12 +50,14 @@ MATRICES = {
 }
 
 
-def section_of(number: int) -> str:
+def section_of(number: int | str) -> str:
     """The text of an example."""
-    return re.split(r"\*\*Example \d+\.\*\*|\n##+ ", TEXT.split(f"**Example {number}.**")[1])[0]
+    return re.split(r"\*\*Example \d+[a-z]?\.\*\*|\n##+ ", TEXT.split(f"**Example {number}.**")[1])[
+        0
+    ]
 
 
-def documented(number: int) -> list[bytes]:
+def documented(number: int | str) -> list[bytes]:
     """The bytes that an example gives: its runs of hexadecimal pairs; blank lines part them."""
     found = re.findall(rf"`({HEX})`|```\n((?:[0-9A-F|\s])+)```", section_of(number))
     parts = [part for run, block in found for part in (run or block).split("\n\n")]
@@ -127,6 +133,25 @@ def test_example_of_two_groups() -> None:
     head, rows, last = documented(6)
     assert data[: len(head)] == head
     assert data[len(head) + 512 :] == rows + last
+
+
+def test_examples_of_layers_and_of_details() -> None:
+    (listed,) = documented("6a")
+    layers = [Layer(number, struct.pack("<Q", number)) for number in (1, 2)]
+    assert pack_layers(layers) == listed
+    assert unpack_layers(listed, 3) == layers
+    assert read_layers(listed, 3) == [(1, 1), (2, 2)]
+    section = documented("6b")[-1]
+    streams = {tag: [bytes([0x11 + i]), bytes([0x21 + i])] for i, tag in enumerate(detl.ROWS)}
+    coded = {tag: (b"\1", chunks) for tag, chunks in streams.items()}
+    found, body = detl.pack_details(3, coded)
+    assert found == section
+    assert body == b"\1\1\1\x11\x12\x13\x21\x22\x23"
+    read = read_details(section, 2)
+    assert (read.step, read.sizes, read.total()) == (3, [[1, 1, 1]] * 2, len(body))
+    assert read.headers == [(1, _codec.crc32c(b"\1"))] * 3
+    assert read.crcs == [_codec.crc32c(body[at : at + 3]) for at in (3, 6)]
+    assert detl.unpack_details(section, 2, 0).size == len(body)
 
 
 @pytest.mark.parametrize("number", OCTREES)

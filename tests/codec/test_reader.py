@@ -11,15 +11,22 @@ import numpy as np
 import pytest
 
 from clgs import _codec, codec
+from clgs.codec.attributes import row_coder
+from clgs.codec.attributes.model import KNOWN, MIXED, empty_model
+from clgs.codec.container import detl
 from clgs.codec.container.meta import LEVELS
+from clgs.codec.container.reader import SceneReader
+from clgs.codec.container.sections import BytesSource, read_table
 from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode
 from clgs.codec.splat_packing import QuantizedSplats, is_splats, pack, unpack
 from clgs.errors import CodecError
 from clgs.scene.mlps import MLP_SIZE, Mlps
+from codec_c.reader.attributes import Attributes
 from codec_c.reader.files import CHANNELS, Scene, decode_attributes, decode_positions, read_file
 from tests.codec.container.damage import contents, rebuilt
 from tests.codec.container.mutations import changed, damaged_file
+from tests.codec.samples import sealed
 from tests.codec.scenes import GOLDEN, random_scene
 
 QUICK = "single"
@@ -99,6 +106,64 @@ def test_layers_of_whole_files_and_of_files_that_are_cut() -> None:
     assert_alike(read_by_clgs, read_by_the_document, data[: ends[0] - 1])
 
 
+@pytest.mark.parametrize("level", ["default", pytest.param("max", marks=SLOW)])
+def test_details_of_whole_files_and_of_files_that_are_cut(level: str) -> None:
+    data = encode(small_scene(40), level, chunk=16, layers=3, details=True)
+    assert_scene(data)
+    assert read_file(data).layers == (3, 3)
+    first, second, last = (layer["end"] for layer in describe(data)["layers"])
+    for size, there in ((first, 1), (second - 1, 1), (second, 2), (last - 1, 2)):
+        assert read_file(data[:size]).layers == (there, 3)
+        with pytest.warns(UserWarning, match=f"{there} of 3"):
+            assert_scene(data[:size])
+
+
+@pytest.mark.slow
+def test_details_in_eight_lanes_of_which_some_channels_are_mixed() -> None:
+    scene = small_scene(3000)
+    scene.anchors.feature[:, 8:], scene.anchors.offset[:], scene.anchors.scaling[:] = 0, 2, 1
+    data = encode(scene, "max", chunk=65536, layers=2, details=True)
+    models = details_of(data)
+    assert {int(coder) for coder in models["FEAT"].tables["coder"]} == {0, 1, 2}
+    assert_scene(data)
+
+
+def details_of(data: bytes) -> dict[str, row_coder.RowModel]:
+    """The models of the details of a file."""
+    reader = SceneReader(BytesSource(data), read_table(BytesSource(data)))
+    return {tag: reader.detail_model(tag) for tag in CHANNELS}
+
+
+@pytest.mark.parametrize("step", [1, 5, 255])
+def test_details_of_other_steps(step: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(detl, "STEP", step)
+    scene = small_scene(9)
+    scene.anchors.feature[:, ::7] = scene.anchors.feature[:, ::7] * 999_999 + 77
+    data = encode(scene, chunk=16, layers=2, details=True)
+    assert contents(data)["DETL"][:4] == struct.pack("<I", step)
+    assert_scene(data)
+
+
+def test_known_channels_that_are_no_details_are_refused() -> None:
+    model = empty_model(1)
+    model["coder"], model["frequency"] = KNOWN, 0
+    header = _codec.attributes_header(model)
+    reader = Attributes(header, 1, [True])
+    assert reader.decode(b"", 2, None, np.array([[7], [-9]])).tolist() == [[7], [-9]]
+    plain = codec.encode_attributes(np.zeros((2, 1), np.int32), "paper")
+    data = sealed(plain[:10] + struct.pack("<II", len(header), 0) + header)
+    for decode_rows in (codec.decode_attributes, decode_attributes):
+        with pytest.raises((CodecError, ValueError), match="other channels are known"):
+            decode_rows(data)
+    model["coder"] = MIXED
+    for other in (model, empty_model(1)):
+        header = _codec.attributes_header(other)
+        with pytest.raises(ValueError, match="other channels are known"):
+            Attributes(header, 1, [True])
+        with pytest.raises(ValueError, match="other channels are known"):
+            row_coder.read(header, 1, np.array([True]))
+
+
 def rows_of(spread: float, rows: int) -> np.ndarray:
     """Three channels, of which one differs little from another and one is smooth."""
     value = np.rint(np.random.default_rng(5).laplace(spread / 3, spread, (rows, 3)))
@@ -162,6 +227,7 @@ def files() -> list[bytes]:
     """Small files of scenes, in several chunks, and of splats."""
     scenes = [encode(small_scene(), level, 16) for level in LEVELS]
     scenes += [encode(small_scene(), level, 16, layers=3) for level in ("default", "paper")]
+    scenes += [encode(small_scene(), level, 16, layers=2, details=True) for level in LEVELS]
     return scenes + [pack(some_splats(), level) for level in LEVELS]
 
 

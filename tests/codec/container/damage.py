@@ -8,9 +8,10 @@ from collections.abc import Callable
 import numpy as np
 
 from clgs import _codec
-from clgs.codec.container import chunks
+from clgs.codec.container import chunks, detl
 from clgs.codec.container.sections import (
     BODY,
+    DETL,
     LAYR,
     SCENE,
     SPLATS,
@@ -28,7 +29,8 @@ def contents(data: bytes) -> dict[str, bytes]:
     source = BytesSource(data)
     splats = data[HEAD : HEAD + 4] == b"SPLT"
     entries = read_table(source, splats).entries
-    tags = SPLATS if splats else (*SCENE, *(tag for tag in (LAYR, BODY) if tag in entries))
+    layered = [tag for tag in (LAYR, DETL, BODY) if tag in entries]
+    tags = SPLATS if splats else (*SCENE, *layered)
     return {tag: bytes(read_section(source, entries[tag]).data) for tag in tags}
 
 
@@ -37,7 +39,24 @@ def rebuilt(data: bytes, **changed: bytes) -> bytes:
     sections = {**contents(data), **changed}
     if "CHNK" in sections and "CHNK" not in changed:
         sections["CHNK"] = checked(sections)
+        if DETL in sections and DETL not in changed:
+            sections[DETL] = checked_details(sections)
     return write_container(sections)
+
+
+def checked_details(sections: dict[str, bytes]) -> bytes:
+    """DETL with the checksums of the headers and of the details that BODY has now."""
+    table = unpack_rows(sections["CHNK"])[-1]
+    begin = int(table[:, 7:].sum())
+    section, body = bytearray(sections[DETL]), sections[BODY]
+    details = detl.unpack_details(bytes(section), len(table), begin)
+    for i, (place, _) in enumerate(details.headers.values()):
+        crc = _codec.crc32c(body[place.offset : place.offset + place.length])
+        struct.pack_into("<I", section, 8 + 8 * i, crc)
+    for i, places in enumerate(details.places):
+        parts = [body[place.offset : place.offset + place.length] for place in places.values()]
+        struct.pack_into("<I", section, 28 + 4 * i, _codec.crc32c(b"".join(parts)))
+    return bytes(section)
 
 
 def checked(sections: dict[str, bytes]) -> bytes:

@@ -87,6 +87,7 @@ def _files() -> list[bytes]:
     small = [encode(scene, level, 16, 1) for level in LEVELS]
     splats = QuantizedSplats([*"xyzab"], [0.5] * 5, rng.integers(-3, 4, (90, 5)).astype(np.int32))
     small += [encode(scene, level, 16, 1, layers=3) for level in LEVELS]
+    small += [encode(scene, level, 16, 1, layers=2, details=True) for level in LEVELS]
     small += [pack(splats, level, 1) for level in LEVELS] * 2
     return [path.read_bytes() for path in sorted(GOLDEN.glob("*.clgs"))] + small
 
