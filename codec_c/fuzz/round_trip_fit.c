@@ -6,6 +6,7 @@
  */
 #include "attributes/model.h"
 #include "fuzz.h"
+#include "known.h"
 
 #define MAX_CHANNELS 2
 #define SCALE_ONE 256
@@ -42,7 +43,7 @@ static void take_taps(fuzz_input *input, clgs_channel *channel, int32_t j)
 static void take_channel(fuzz_input *input, clgs_channel *channel, int32_t j)
 {
     uint32_t kind = fuzz_take(input, 1);
-    channel->coder = (kind & 7) == 7 ? CLGS_MIXED : CLGS_STATIC;
+    channel->coder = (kind & 7) == 7 ? CLGS_MIXED : (kind & 7) == 6 ? CLGS_KNOWN : CLGS_STATIC;
     channel->span = (int32_t)(kind >> 3 & 3) % ((j < CLGS_MAX_SPAN ? j : CLGS_MAX_SPAN) + 1);
     channel->classes = 1;
     channel->frequency[0][0] = CLGS_SCALE;
@@ -50,11 +51,11 @@ static void take_channel(fuzz_input *input, clgs_channel *channel, int32_t j)
     channel->gain = take_below(input, CLGS_MAX_GAIN + 1);
     for (int k = 0; k < 3; k++)
         channel->weight[k] = take_below(input, CLGS_MAX_WEIGHT + 1);
-    if (kind & 64)
+    if (kind & 64 && channel->coder != CLGS_KNOWN)
         take_taps(input, channel, j);
 }
 
-/* Tables from the values; mixed channels have none. */
+/* Tables from the values; mixed channels have none, and known ones are not given any. */
 static void fit(clgs_channel *model, const int32_t *value, const int32_t *near, size_t rows,
                 size_t channels)
 {
@@ -66,6 +67,8 @@ static void fit(clgs_channel *model, const int32_t *value, const int32_t *near, 
     fuzz_check(!clgs_attributes_count(model, value, near, rows, channels, count, workspace));
     workspace = fuzz_block(FUZZ_WORKSPACE, clgs_attributes_choose_workspace());
     fuzz_check(!clgs_attributes_choose(model, channels, count, SCALE_ONE, cost, workspace));
+    for (size_t j = 0; j < channels; j++)
+        fuzz_check(model[j].coder != CLGS_KNOWN || cost[j] == 0);
     for (size_t j = 0; j < channels; j++)
         if (model[j].coder == CLGS_MIXED) {
             model[j].classes = 1;
@@ -104,10 +107,11 @@ static void check_chunk(const clgs_channel *model, const int32_t *value, const i
 {
     size_t bound = clgs_attributes_bound(model, rows, channels);
     uint8_t *out = fuzz_block(FUZZ_OUTPUT, bound);
-    int32_t *decoded = fuzz_block(FUZZ_DECODED, 4 * rows * channels);
+    int32_t *decoded = fuzz_decoded(model, value, rows, channels);
     void *workspace = fuzz_block(FUZZ_WORKSPACE, clgs_attributes_workspace(rows, channels));
     size_t size = clgs_attributes_encode(model, value, near, rows, channels, out, bound, workspace);
-    fuzz_check(size > 0 && size <= bound);
+    fuzz_check((size > 0) == (fuzz_known_channels(model, channels) < channels));
+    fuzz_check(size <= bound);
     workspace = fuzz_block(FUZZ_WORKSPACE, clgs_attributes_workspace(rows, channels));
     fuzz_check(!clgs_attributes_decode(model, out, size, decoded, near, rows, channels, workspace));
     fuzz_check(memcmp(value, decoded, 4 * rows * channels) == 0);

@@ -194,8 +194,8 @@ size_t clgs_attributes_workspace(size_t rows, size_t channels);
  * near: as clgs_near fills it; any earlier rows do. NULL: the rows just before each row.
  * capacity: at least clgs_attributes_bound(model, rows, channels).
  * Returns the bytes written, at least 1; 0 if shape or model are out of range, a near row is not
- * an earlier one, `capacity` is too small, or a table gives no frequency to a symbol that occurs.
- */
+ * an earlier one, `capacity` is too small, or a table gives no frequency to a symbol that occurs;
+ * and 0 if all channels are known. */
 size_t clgs_attributes_encode(const void *model, const int32_t *value, const int32_t *near,
                               size_t rows, size_t channels, uint8_t *out, size_t capacity,
                               void *workspace);

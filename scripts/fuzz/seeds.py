@@ -15,7 +15,7 @@ import numpy as np
 
 from clgs import _codec
 from clgs.codec import octree, weights
-from clgs.codec.attributes import row_coder
+from clgs.codec.attributes import model_search, row_coder
 from clgs.codec.container.reader import SceneReader
 from clgs.codec.container.sections import BytesSource, read_container
 
@@ -91,14 +91,15 @@ def matrix_seeds() -> Iterator[Seed]:
         for coder in range(3):
             form = bytes([3 + 4 * (channels - 1) + 28 * coder])
             yield "round_trip", f"{name}_{coder}", form + value.astype("<i4").tobytes()
-        for kind in (b"\0", b"\7"):
-            fields = kind + struct.pack("<bHHHH", 0, 16, 1024, 512, 256)
-            head = bytes([min(channels, 2) - 1 | 192]) + fields * min(channels, 2)
+        for kinds in (b"\0\0", b"\7\7", b"\6\0", b"\6\7", b"\0\6"):  # 6: known, 7: mixed
+            fields = [bytes([k]) + struct.pack("<bHHHH", 0, 16, 1024, 512, 256) for k in kinds]
+            head = bytes([min(channels, 2) - 1 | 192]) + b"".join(fields[:channels])
             data = head + value[:, :2].astype("<i4").tobytes()
-            yield "round_trip_fit", f"{name}_{kind.hex()}", data
+            yield "round_trip_fit", f"{name}_{kinds.hex()}", data
         for level in ("fast", "default", "max"):
             yield from attribute_seeds(f"{name}_{level}", value, level)
             yield from attribute_seeds(f"{name}_{level}_tables", value, level, 3000)
+        yield from known_seeds(name, value)
     seldom = (np.arange(2200) % 97 == 5).astype(np.int32)[:, None]  # in eight lanes
     yield next(attribute_seeds("long", seldom, "fast"))
 
@@ -121,6 +122,23 @@ def attribute_seeds(
     data = struct.pack("<H", len(model.header)) + model.header + value.astype("<i4").tobytes()
     yield "round_trip_attributes", name, bytes([channel_bits | 128]) + data
     yield "round_trip_attributes", f"{name}_long", bytes([channel_bits | 252]) + data
+
+
+def known_seeds(name: str, value: np.ndarray) -> Iterator[Seed]:
+    """The values with every second channel known, which others look at."""
+    value = np.resize(value, (len(value), 3))
+    chunks = model_search.RowChunks(value, [slice(0, len(value))], None, np.arange(3) % 2 == 0)
+    plain, _ = model_search.fit(chunks, search=True)
+    for kind, tables in (
+        ("tables", plain),
+        ("mixed", model_search.mix_all(plain, chunks.sample())),
+    ):
+        model = row_coder.table_model(tables)
+        length = struct.pack("<H", len(model.header))
+        head = count(len(value) - 1, 256) + b"\2" + length
+        yield "attributes", f"{name}_known_{kind}", head + model.header + model.encode(value)
+        data = length + model.header + value.astype("<i4").tobytes()
+        yield "round_trip_attributes", f"{name}_known_{kind}", b"\x82" + data
 
 
 def point_seeds() -> Iterator[Seed]:

@@ -60,8 +60,9 @@ static void fill_values(stream *s, uint32_t shift)
     }
 }
 
-/* A model that uses everything that a header can say, tables from counts; some channels mixed. */
-static void make_model(stream *s, int mixed)
+/* A model that uses all that a header can say, tables from counts; every second coder is `other`.
+ */
+static void make_model(stream *s, int32_t other)
 {
     uint32_t *count = allocate(4 * COUNTS * s->channels);
     uint64_t *cost = allocate(8 * s->channels);
@@ -70,7 +71,8 @@ static void make_model(stream *s, int mixed)
         clgs_channel *c = s->model + j;
         int32_t before = (int32_t)j;
         c->centre = before - 1;
-        c->taps = before % 4;
+        c->coder = other == CLGS_KNOWN && j % 2 == 1 ? CLGS_KNOWN : CLGS_STATIC;
+        c->taps = c->coder == CLGS_KNOWN ? 0 : before % 4;
         for (int32_t t = 0; t < c->taps; t++)
             c->tap[t] =
                 (clgs_tap){t < before ? t : before, t == 0 ? CLGS_TAP_NEAR : t - 2, 100 - 60 * t};
@@ -84,7 +86,8 @@ static void make_model(stream *s, int mixed)
     CHECK(clgs_attributes_count(s->model, s->value, s->near, s->rows, s->channels, count,
                                 s->workspace) == CLGS_OK);
     CHECK(clgs_attributes_choose(s->model, s->channels, count, 25600, cost, chooser) == CLGS_OK);
-    for (size_t j = 1; mixed && j < s->channels; j += 2) {
+    CHECK(s->channels < 2 || (cost[1] == 0) == (other == CLGS_KNOWN));
+    for (size_t j = 1; other == CLGS_MIXED && j < s->channels; j += 2) {
         s->model[j].coder = CLGS_MIXED;
         s->model[j].classes = 1;
         memset(s->model[j].class_of, 0, sizeof s->model[j].class_of);
@@ -111,6 +114,8 @@ static clgs_error decode(const stream *s, const void *model, const uint8_t *data
     uint8_t *exact = allocate(size);
     int32_t *value = allocate(4 * s->rows * s->channels);
     memcpy(exact, data, size);
+    for (size_t i = 0; i < s->rows * s->channels; i++)
+        value[i] = s->model[i % s->channels].coder == CLGS_KNOWN ? s->value[i] : 0;
     clgs_error error = clgs_attributes_decode(model, exact, size, value, s->near, s->rows,
                                               s->channels, s->workspace);
     if (error == CLGS_OK && size == s->size && memcmp(data, s->data, size) == 0)
@@ -169,7 +174,7 @@ static void test_chunk_damage(const stream *s)
     free(bad);
 }
 
-/* A damaged header either fails or is a model under which decoding ends. */
+/* A damaged header either fails or is a model under which decoding ends; these fail if cut. */
 static void test_header_damage(const stream *s)
 {
     uint8_t *bad = allocate(s->header_size);
@@ -200,14 +205,15 @@ static int32_t *scattered(size_t rows)
     return near;
 }
 
-static void test_stream(size_t rows, size_t channels, uint32_t shift, int mixed)
+static void test_stream(size_t rows, size_t channels, uint32_t shift, int32_t other)
 {
-    stream s = {.rows = rows, .channels = channels, .near = mixed ? NULL : scattered(rows)};
+    stream s = {.rows = rows, .channels = channels};
+    s.near = other == CLGS_MIXED ? NULL : scattered(rows);
     s.value = allocate(4 * rows * channels);
     s.model = allocate(clgs_attributes_model_size(channels));
     s.workspace = allocate(clgs_attributes_workspace(rows, channels));
     fill_values(&s, shift);
-    make_model(&s, mixed);
+    make_model(&s, other);
     test_round_trip(&s);
     test_chunk_damage(&s);
     if (rows < CLGS_LONG_ROWS) /* long streams are here for their eight lanes */
@@ -350,16 +356,38 @@ static void test_bad_near(void)
     free(workspace);
 }
 
+/* Known channels alone are no bytes, and stay as they are; none has taps. */
+static void test_known_alone(void)
+{
+    clgs_channel again[2], model[2] = {{.centre = 5, .gain = 9, .coder = CLGS_KNOWN, .classes = 1},
+                                       {.span = 1, .coder = CLGS_KNOWN, .classes = 1}};
+    int32_t value[2] = {-3, INT32_MIN}, same[2] = {-3, INT32_MIN};
+    uint8_t out[256];
+    void *work = allocate(clgs_attributes_workspace(1, 2) + clgs_attributes_header_workspace());
+    CHECK(clgs_attributes_encode(model, value, NULL, 1, 2, out, sizeof out, work) == 0);
+    CHECK(clgs_attributes_decode(model, out, 0, value, NULL, 1, 2, work) == CLGS_OK);
+    CHECK(clgs_attributes_decode(model, out, 1, value, NULL, 1, 2, work) == CLGS_ERROR_TRAILING);
+    CHECK(memcmp(value, same, sizeof value) == 0);
+    size_t size = clgs_attributes_header_write(model, 2, out, sizeof out, work);
+    CHECK(clgs_attributes_header_read(out, size, again, 2, work) == CLGS_OK);
+    CHECK(memcmp(again, model, sizeof model) == 0);
+    model[1].taps = 1;
+    CHECK(clgs_attributes_header_write(model, 2, out, sizeof out, work) == 0);
+    CHECK(clgs_attributes_decode(model, out, 0, value, NULL, 1, 2, work) == CLGS_ERROR_ARGUMENT);
+    free(work);
+}
+
 int main(void)
 {
     test_largest_header();
-    for (int mixed = 0; mixed < 2; mixed++) {
-        test_stream(1, 1, 27, mixed);
-        test_stream(7, 5, 20, mixed);
-        test_stream(60, 4, 27, mixed);
-        test_stream(33, 6, 0, mixed);
+    for (int32_t other = CLGS_STATIC; other <= CLGS_KNOWN; other++) {
+        test_stream(1, 1, 27, other);
+        test_stream(other == CLGS_KNOWN ? 8 : 7, 5, 20, other);
+        test_stream(60, 4, 27, other);
+        test_stream(33, 6, 0, other);
     }
     test_stream(CLGS_LONG_ROWS, 1, 27, 0);
+    test_known_alone();
     CHECK(clgs_attributes_model_size(0) == 0 && clgs_attributes_model_size(257) == 0);
     CHECK(clgs_attributes_workspace(CLGS_MAX_POINTS + 1, 1) == 0);
     test_bad_models();
