@@ -166,6 +166,13 @@ size_t clgs_attributes_header_write(void *model, size_t channels, uint8_t *out, 
 clgs_error clgs_attributes_header_read(const uint8_t *data, size_t size, void *model,
                                        size_t channels, void *workspace);
 
+/* Which channels of a model are known: a decoder must have their values before it begins.
+ *
+ * model: as clgs_attributes_header_read fills it.
+ * Returns 0 if no channel is known; 1 if those of an even number are, and no others, as details
+ * have it (codec_c/FORMAT.md, 5.4); -1 if others are, which no file has. */
+int clgs_attributes_known(const void *model, size_t channels);
+
 /* About 3.5 bytes per row, or 0 if there are more than CLGS_MAX_POINTS. */
 size_t clgs_near_workspace(size_t rows);
 

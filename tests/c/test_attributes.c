@@ -296,6 +296,22 @@ static void test_bad_models(void)
     free(count);
 }
 
+static void test_known_channels(void)
+{
+    clgs_channel *model = allocate(5 * sizeof *model);
+    memset(model, 0, 5 * sizeof *model);
+    model[3].coder = CLGS_MIXED;
+    CHECK(clgs_attributes_known(model, 0) == 0 && clgs_attributes_known(model, 5) == 0);
+    model[0].coder = model[2].coder = CLGS_KNOWN;
+    CHECK(clgs_attributes_known(model, 4) == 1 && clgs_attributes_known(model, 3) == 1);
+    CHECK(clgs_attributes_known(model, 5) == -1); /* channel 4 is not known */
+    model[1].coder = CLGS_KNOWN;
+    CHECK(clgs_attributes_known(model, 4) == -1);
+    model[0].coder = CLGS_STATIC;
+    CHECK(clgs_attributes_known(model, 1) == 0 && clgs_attributes_known(model, 2) == -1);
+    free(model);
+}
+
 static int64_t distance_of(const int32_t *a, const int32_t *b)
 {
     int64_t sum = 0;
@@ -391,6 +407,7 @@ int main(void)
     CHECK(clgs_attributes_model_size(0) == 0 && clgs_attributes_model_size(257) == 0);
     CHECK(clgs_attributes_workspace(CLGS_MAX_POINTS + 1, 1) == 0);
     test_bad_models();
+    test_known_channels();
     test_bad_near();
     for (size_t rows = 0; rows < 40; rows++)
         test_near(rows, rows % 3 == 0 ? 4 : 1 << CLGS_MAX_DEPTH);

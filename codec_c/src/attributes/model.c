@@ -230,6 +230,17 @@ clgs_error clgs_attributes_header_read(const uint8_t *data, size_t size, void *m
     return clgs_range_end_decode(&h->coder);
 }
 
+int clgs_attributes_known(const void *model, size_t channels)
+{
+    const clgs_channel *channel = model;
+    size_t known[2] = {0}; /* of even and of odd number */
+    for (size_t j = 0; j < channels; j++)
+        known[j % 2] += channel[j].coder == CLGS_KNOWN;
+    if (known[0] + known[1] == 0)
+        return 0;
+    return known[0] == (channels + 1) / 2 && known[1] == 0 ? 1 : -1;
+}
+
 static int within(int32_t value, int32_t low, int32_t high)
 {
     return value >= low && value <= high;
