@@ -8,13 +8,10 @@
 
 #define WRONG "the file's attributes are damaged; copy the file again"
 
-problem attributes_open(span header, size_t channels, attributes *result)
+/* The model of a header of tables; `known`: what clgs_attributes_known must say of it. */
+static problem open_tables(span header, size_t channels, int known, attributes *result)
 {
     *result = (attributes){.mode = TABLES, .channels = channels};
-    if (header.size == 1 && (header.data[0] == 0 || header.data[0] == 2)) {
-        result->mode = header.data[0] == 0 ? RAW : PLAIN;
-        return NULL;
-    }
     size_t size = clgs_attributes_model_size(channels);
     result->model = memory_take(size);
     size_t mark = memory_mark();
@@ -25,7 +22,21 @@ problem attributes_open(span header, size_t channels, attributes *result)
     clgs_error error =
         clgs_attributes_header_read(header.data, header.size, result->model, channels, workspace);
     memory_release(mark);
-    return error ? WRONG : NULL;
+    return error || clgs_attributes_known(result->model, channels) != known ? WRONG : NULL;
+}
+
+problem attributes_open(span header, size_t channels, attributes *result)
+{
+    if (header.size == 1 && (header.data[0] == 0 || header.data[0] == 2)) {
+        *result = (attributes){.mode = header.data[0] == 0 ? RAW : PLAIN, .channels = channels};
+        return NULL;
+    }
+    return open_tables(header, channels, 0, result);
+}
+
+problem attributes_open_details(span header, size_t channels, attributes *result)
+{
+    return open_tables(header, channels, 1, result);
 }
 
 static problem read_raw(span data, size_t count, int32_t *value)

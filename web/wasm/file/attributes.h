@@ -10,10 +10,15 @@ typedef struct attributes {
     void *model; /* of TABLES */
 } attributes;
 
-/* The model of a shared header, in memory that is taken. */
+/* The model of a shared header, in memory that is taken. It has no known channels, whose values
+ * would be read before they are set. */
 problem attributes_open(span header, size_t channels, attributes *result);
 
-/* The rows of a chunk, to (rows, channels) of `value`; `near` as of clgs_attributes_decode. */
+/* The same of details, whose channels are pairs of a known one and another. */
+problem attributes_open_details(span header, size_t channels, attributes *result);
+
+/* The rows of a chunk, to (rows, channels) of `value`, which has known channels already, and zeros
+ * in the others of details; `near` as of clgs_attributes_decode. */
 problem attributes_read(const attributes *from, span data, const int32_t *near, size_t rows,
                         int32_t *value);
 

@@ -15,7 +15,8 @@
 static const uint32_t SCENE_TAGS[] = {
     TAG('M', 'E', 'T', 'A'), TAG('C', 'H', 'N', 'K'), TAG('A', 'N', 'C', 'H'),
     TAG('O', 'F', 'F', 'S'), TAG('F', 'E', 'A', 'T'), TAG('S', 'C', 'A', 'L'),
-    TAG('M', 'L', 'P', 'S'), TAG('L', 'A', 'Y', 'R'), TAG('B', 'O', 'D', 'Y'),
+    TAG('M', 'L', 'P', 'S'), TAG('L', 'A', 'Y', 'R'), TAG('D', 'E', 'T', 'L'),
+    TAG('B', 'O', 'D', 'Y'),
 };
 static const uint32_t SPLAT_TAGS[] = {
     TAG('S', 'P', 'L', 'T'),
@@ -49,6 +50,13 @@ static problem read_entry(span file, const uint8_t *entry, int may_be_cut, uint6
     return clgs_crc32c(section->data, section->size) == clgs_load32(entry + 24) ? NULL : CUT;
 }
 
+/* The next section to find, after `found` of them: DETL may be left out. */
+static uint32_t next_section(uint32_t tag, const uint32_t *tags, uint32_t found)
+{
+    int leaves_out = tags == SCENE_TAGS && found == DETL && tag == tags[BODY];
+    return leaves_out ? BODY : found;
+}
+
 static problem read_entries(span file, uint32_t count, container *result)
 {
     const uint32_t *tags = result->splats ? SPLAT_TAGS : SCENE_TAGS;
@@ -56,6 +64,7 @@ static problem read_entries(span file, uint32_t count, container *result)
     uint64_t end = HEAD + ENTRY * (uint64_t)count + 4;
     for (uint32_t i = 0; i < count; i++) {
         const uint8_t *entry = file.data + HEAD + ENTRY * i;
+        found = next_section(clgs_load32(entry), tags, found);
         int next = found < known && clgs_load32(entry) == tags[found];
         int body = next && !result->splats && found == BODY;
         span section;
@@ -74,6 +83,7 @@ static problem read_entries(span file, uint32_t count, container *result)
         else if (clgs_load32(entry + 4) & 1)
             return "the file needs a newer page; export it with a newer clgs";
     }
+    result->details = result->section[DETL].data != NULL;
     uint32_t wanted = result->splats ? 4 : result->layers ? SECTIONS : LAYR;
     return found == wanted && end >= file.size ? NULL : CUT;
 }

@@ -18,14 +18,15 @@ typedef struct span {
 #define CUT "the file is cut or damaged; copy it again"
 
 /* Sections of a scene, those that a scene in layers has last, and those of a file of splats. */
-enum { META, CHNK, ANCH, OFFS, FEAT, SCAL, MLPS, LAYR, BODY };
+enum { META, CHNK, ANCH, OFFS, FEAT, SCAL, MLPS, LAYR, DETL, BODY };
 enum { SPLT, SPOS, SMUL, SATR };
 
-#define SECTIONS 9
+#define SECTIONS 10
 
 typedef struct container {
-    int splats; /* whether it holds splats in place of a scene */
-    int layers; /* whether it has LAYR and BODY */
+    int splats;  /* whether it holds splats in place of a scene */
+    int layers;  /* whether it has LAYR and BODY */
+    int details; /* whether it has DETL between them */
     span section[SECTIONS];
     span photos;             /* PHOT, empty if there is none */
     size_t begin, body_size; /* where BODY begins, and its bytes when all have come */
