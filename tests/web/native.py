@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import ctypes
+import shutil
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
+COMPILER = shutil.which("cc")
+NEEDS = [
+    pytest.mark.skipif(not (ROOT / "web/wasm").is_dir(), reason="needs a checkout"),
+    pytest.mark.skipif(COMPILER is None, reason="needs a C compiler, cc"),
+]
+"""Marks of the tests that call the library."""
+
 RECORD = 12
 """Words of a Gaussian, see web/wasm/view/gaussians.h."""
 
@@ -50,17 +60,25 @@ class Page:
         ctypes.memmove(library.page_room(ctypes.c_size_t(len(data))), data, len(data))
         if there is not None:
             library.page_arrived(ctypes.c_size_t(there))
-        self._decode(library.page_open())
+        for _ in self._steps(library.page_open()):
+            pass
 
     def arrive(self, there: int) -> None:
         """Decode what is complete with this many bytes."""
-        self._decode(self._library.page_arrived(ctypes.c_size_t(there)))
+        for _ in self.steps(there):
+            pass
 
-    def _decode(self, left: int) -> None:
+    def steps(self, there: int) -> Iterator[int]:
+        """The same step by step: how many are left, before the first and after each."""
+        return self._steps(self._library.page_arrived(ctypes.c_size_t(there)))
+
+    def _steps(self, left: int) -> Iterator[int]:
         while left > 0:
+            yield left
             left = self._library.page_step()
         if left < 0:
             raise ValueError(self._library.page_problem().decode())
+        yield left
 
     @property
     def layers(self) -> tuple[int, int]:

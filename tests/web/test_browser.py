@@ -138,9 +138,10 @@ def status(browser):
     return browser.value("document.getElementById('status').textContent")
 
 
-def test_a_scene_behind_an_address_is_shown_while_it_comes(browser, scene):
+@pytest.mark.parametrize("details", [False, True])
+def test_a_scene_behind_an_address_is_shown_while_it_comes(browser, scene, details):
     _, quantized, camera = scene
-    data = encode(quantized, chunk=64, layers=4)
+    data = encode(quantized, chunk=64, layers=4, details=details)
     ends = [layer["end"] for layer in describe(data)["layers"]]
     view = to_8bit(render_view(quantized.dequantize(), camera)).astype(np.float64)
     with serve_slowly(page.scene_page(b"", "far", None, "s.clgs"), data) as server:
@@ -171,6 +172,15 @@ def test_a_download_that_ends_early_is_a_coarser_scene(browser, scene):
         assert browser.wait("window.clgs && clgs.state().failed")
         browser.open(server.address + "page.html?scene=gone.clgs", SIZE, SIZE)
         assert "the server says 404" in browser.wait("window.clgs && clgs.state().failed")
+
+
+def test_a_download_that_ends_in_the_details_is_the_scene_without_them(browser, scene):
+    data = encode(scene[1], chunk=64, layers=3, details=True)
+    with serve_slowly(page.scene_page(b"", ""), data) as server:
+        server.let(len(data) - 1, cut=True)
+        browser.open(server.address + "page.html?scene=s.clgs", SIZE, SIZE)
+        browser.wait("window.clgs && clgs.state().whole && clgs.state().ready")
+        assert "2 of 3 layers, the rest is lost" in status(browser)
 
 
 def test_a_file_without_layers_comes_from_an_address_too(browser, scene):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import re
-import shutil
 import struct
 import subprocess
 from dataclasses import replace
@@ -29,16 +28,7 @@ from tests.ops.cases.splats import stored
 from tests.web import native
 from tests.web.scenes import quantized_scene, random_splats
 
-COMPILER = shutil.which("cc")
-pytestmark = [
-    pytest.mark.skipif(not (native.ROOT / "web/wasm").is_dir(), reason="needs a checkout"),
-    pytest.mark.skipif(COMPILER is None, reason="needs a C compiler, cc"),
-]
-
-
-@pytest.fixture(scope="module")
-def library(tmp_path_factory):
-    return native.build(tmp_path_factory.mktemp("native"), COMPILER)
+pytestmark = native.NEEDS
 
 
 @pytest.mark.slow
@@ -153,7 +143,7 @@ def test_harmonics_are_orthonormal(library, tmp_path):
         "{ for (int i = 0; i < n; i++) harmonics(d + 3 * i, b + 16 * i); }\n"
     )
     include, output = f"-I{native.ROOT / 'web/wasm/view'}", tmp_path / "harmonics.so"
-    command = [COMPILER, "-shared", "-fPIC", include, str(source), "-o", str(output)]
+    command = [native.COMPILER, "-shared", "-fPIC", include, str(source), "-o", str(output)]
     subprocess.run(command, check=True)
     height, weight = np.polynomial.legendre.leggauss(8)
     angle = np.arange(16) * np.pi / 8

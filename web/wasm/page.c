@@ -113,6 +113,19 @@ static int read_photos(span photos)
            number[5] <= number[6];
 }
 
+/* How many steps make this many anchors ready. */
+static size_t steps_for(size_t count)
+{
+    return (count + PREPARED - 1) / PREPARED;
+}
+
+/* Whether the layer of details is among the first `layers`, and not done. */
+static int details_wait(size_t layers)
+{
+    const anchors *a = &page.anchor;
+    return page.sections.details && layers == a->list.layers && a->layer < layers;
+}
+
 /* How many steps of those bytes that are there. */
 static int steps_left(void)
 {
@@ -123,7 +136,8 @@ static int steps_left(void)
         return 0;
     size_t layers = anchors_layers(a, page.sections.section[BODY].size);
     size_t bare = layers > 0 ? a->list.layer[layers - 1].rows - page.prepared : 0;
-    return (int)(anchors_left(a, layers) + (bare + PREPARED - 1) / PREPARED);
+    size_t again = details_wait(layers) ? a->list.anchors : 0;
+    return (int)(anchors_left(a, layers) + steps_for(bare) + steps_for(again));
 }
 
 /* How many bytes the whole file has, by its table, or, if `front`, what page_open needs of them. 0:
@@ -208,15 +222,19 @@ static problem step_of_anchors(void)
             return wrong;
         if (!read)
             neural_weights(&page.neural);
+        if (page.sections.details && a->layer == a->list.layers)
+            page.prepared = 0; /* all anchors have changed */
     }
     if (page.prepared == a->rows)
         page.items = a->rows;
     return NULL;
 }
 
-/* The next step; the number of those that are left. */
+/* The next step; the number of those that are left. After one that failed, there is none. */
 int EXPORT(page_step)(void)
 {
+    if (page.wrong)
+        return -1;
     problem wrong = page.sections.splats ? step_of_splats() : step_of_anchors();
     page.number[ITEMS] = (double)page.items;
     return wrong ? fail(wrong) : steps_left();

@@ -91,7 +91,6 @@ static problem read_positions(const chunk *c, int32_t *position)
 /* The near rows of a chunk; they stay until the chunk is complete. */
 static problem find_near(anchors *a, const chunk *c, const int32_t *position)
 {
-    a->chunk_mark = memory_mark();
     a->near = memory_take(4 * CLGS_NEAR * c->rows);
     size_t mark = memory_mark();
     void *workspace = memory_take(clgs_near_workspace(c->rows));
@@ -102,17 +101,90 @@ static problem find_near(anchors *a, const chunk *c, const int32_t *position)
     return error ? WRONG : NULL;
 }
 
-/* The next part of the present chunk. */
-static problem read_part(anchors *a)
+/* Integers to the floats that are rendered, which may take the same memory. */
+static void to_floats(const int32_t *integer, size_t count, double scale, void *to)
 {
-    const chunk *c = a->list.chunk + a->chunk;
-    size_t part = a->part;
+    for (size_t i = 0; i < count; i++) {
+        float value = (float)(integer[i] / scale);
+        memcpy((char *)to + sizeof value * i, &value, sizeof value);
+    }
+}
+
+/* What chunks have to what the scene has without details. */
+static problem multiply(int32_t *value, size_t count, uint32_t step)
+{
+    for (size_t i = 0; i < count && step > 1; i++) {
+        int64_t product = value[i] * (int64_t)step;
+        if (product < INT32_MIN || product > INT32_MAX)
+            return WRONG;
+        value[i] = (int32_t)product;
+    }
+    return NULL;
+}
+
+/* A part of a chunk that comes for the first time. */
+static problem read_integers(anchors *a, const chunk *c, size_t part)
+{
     int32_t *rows = a->array[part].integer + COLUMNS_OF[part] * c->first;
     problem wrong = part == 0
                         ? read_positions(c, rows)
                         : attributes_read(&a->model[part], c->part[part], a->near, c->rows, rows);
-    if (part == 0 && !wrong)
-        wrong = find_near(a, c, rows);
+    if (wrong)
+        return wrong;
+    return part == 0 ? find_near(a, c, rows)
+                     : multiply(rows, COLUMNS_OF[part] * c->rows, a->list.details.step);
+}
+
+/* Positions once more, for the near rows: the floats are not exactly what they were. */
+static problem begin_details(anchors *a, const chunk *c)
+{
+    int32_t *position = memory_take(12 * c->rows);
+    if (!position)
+        return NO_MEMORY;
+    problem wrong = details_verify(&a->list.details, (size_t)(c - a->list.chunk));
+    if (!wrong)
+        wrong = read_positions(c, position);
+    return wrong ? wrong : find_near(a, c, position);
+}
+
+/* Attributes once more, with their details, as floats in the place of those without. */
+static problem add_details(anchors *a, const chunk *c, size_t part)
+{
+    size_t mark = memory_mark(), count = COLUMNS_OF[part] * c->rows;
+    int32_t *value = memory_take(4 * count);
+    if (!value)
+        return NO_MEMORY;
+    problem wrong = attributes_read(&a->model[part], c->part[part], a->near, c->rows, value);
+    if (!wrong)
+        wrong = details_add(&a->list.details, (size_t)(c - a->list.chunk), part - 1, a->near,
+                            c->rows, value);
+    if (wrong)
+        return wrong;
+    to_floats(value, count, scale_of(a, (int)part),
+              a->array[part].value + COLUMNS_OF[part] * c->first);
+    memory_release(mark);
+    return NULL;
+}
+
+static problem read_details(anchors *a, const chunk *c, size_t part)
+{
+    return part == 0 ? begin_details(a, c) : add_details(a, c, part);
+}
+
+/* The next part of the present chunk. */
+static problem read_part(anchors *a)
+{
+    size_t chunks = a->list.chunks;
+    int again = a->chunk >= chunks;
+    const chunk *c = a->list.chunk + (again ? a->chunk - chunks : a->chunk);
+    if (a->chunk == chunks && a->part == 0) {
+        problem wrong = details_open(&a->list.details, COLUMNS_OF + 1);
+        if (wrong)
+            return wrong;
+    }
+    if (a->part == 0)
+        a->chunk_mark = memory_mark();
+    problem wrong = again ? read_details(a, c, a->part) : read_integers(a, c, a->part);
     if (++a->part == CODED) {
         a->part = 0;
         a->chunk++;
@@ -165,11 +237,8 @@ static problem compare_hash(anchors *a, size_t end)
 static void dequantize(anchors *a, size_t end)
 {
     for (int i = 0; i < CODED; i++) {
-        double scale = scale_of(a, i);
-        for (size_t k = COLUMNS_OF[i] * a->rows; k < COLUMNS_OF[i] * end; k++) {
-            float value = (float)(a->array[i].integer[k] / scale);
-            memcpy(a->array[i].integer + k, &value, sizeof value);
-        }
+        int32_t *first = a->array[i].integer + COLUMNS_OF[i] * a->rows;
+        to_floats(first, COLUMNS_OF[i] * (end - a->rows), scale_of(a, i), first);
     }
 }
 
@@ -182,10 +251,12 @@ problem anchors_step(anchors *a)
     const layer *next = a->list.layer + a->layer;
     if (a->chunk < next->chunks)
         return read_part(a);
-    problem wrong = compare_hash(a, next->rows);
-    if (wrong)
-        return wrong;
-    dequantize(a, next->rows);
+    if (next->chunks <= a->list.chunks) { /* a layer of anchors */
+        problem wrong = compare_hash(a, next->rows);
+        if (wrong)
+            return wrong;
+        dequantize(a, next->rows);
+    }
     a->rows = next->rows;
     a->layer++;
     return NULL;

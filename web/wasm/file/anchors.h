@@ -19,8 +19,9 @@ typedef struct anchors {
     attributes model[CODED]; /* the first, of positions, is not used */
     numbers array[CODED];    /* (A, 3), (A, 30), (A, 50), (A, 6) */
     float *weight;
-    int32_t *near; /* of the present chunk */
-    size_t layer, chunk, part, chunk_mark;
+    int32_t *near;             /* of the present chunk */
+    size_t layer, chunk, part; /* the next ones; of details, chunks go on behind the last */
+    size_t chunk_mark;
     size_t rows;                  /* of the layers that are decoded */
     int read;                     /* whether the weights are */
     uint64_t expected_hash, hash; /* of the last layer that was decoded */
@@ -38,7 +39,9 @@ size_t anchors_layers(const anchors *a, size_t bytes);
 /* How many calls of anchors_step decode the first `layers` layers. */
 size_t anchors_left(const anchors *a, size_t layers);
 
-/* One step: first the weights, then a part of a chunk, or hash and floats of a layer. */
+/* One step: first the weights, then a part of a chunk, or hash and floats of a layer.
+ *
+ * Details change the floats chunk by chunk. */
 problem anchors_step(anchors *a);
 
 #endif

@@ -154,7 +154,7 @@ static problem read_headers(reader *r, span list)
     return NULL;
 }
 
-/* The ends of layers, once the chunks are known. */
+/* The ends of layers, once the chunks are known. The last one of a file with DETL has details. */
 static problem read_layers(const container *file, directory *result)
 {
     span list = file->section[LAYR];
@@ -166,7 +166,7 @@ static problem read_layers(const container *file, directory *result)
         if (list.size != 4 + LAYER * result->layers)
             return WRONG;
     }
-    result->layer = memory_take(result->layers * sizeof *result->layer);
+    result->layer = memory_take((result->layers + 1) * sizeof *result->layer);
     if (!result->layer)
         return NO_MEMORY;
     result->layer[0] =
@@ -183,6 +183,9 @@ static problem read_layers(const container *file, directory *result)
         result->layer[i] = (layer){end, last->first + last->rows,
                                    bytes + last->part[CODED - 1].size, clgs_load64(entry + 4)};
     }
+    if (file->details)
+        result->layer[result->layers++] =
+            (layer){2 * result->chunks, result->anchors, file->body_size, 0};
     return !file->layers || end == result->chunks ? NULL : WRONG;
 }
 
@@ -203,6 +206,8 @@ problem directory_read(const container *file, directory *result)
     problem wrong = read_headers(&r, list);
     if (!wrong)
         wrong = read_groups(&r, list, groups, (span){list.data + HEAD + 8 * groups, rows});
+    if (!wrong)
+        wrong = details_read(file, result->chunks, r.end[0], &result->details);
     if (wrong)
         return wrong;
     const chunk *last = result->chunk + result->chunks - 1;

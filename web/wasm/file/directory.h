@@ -1,9 +1,9 @@
-/* Which bytes belong to which anchors: META's counts, CHNK and LAYR (codec_c/FORMAT.md, parts 3
- * and 5). */
+/* Which bytes belong to which anchors: META's counts, CHNK, LAYR and DETL (codec_c/FORMAT.md, parts
+ * 3 and 5). */
 #ifndef CLGS_WEB_DIRECTORY_H
 #define CLGS_WEB_DIRECTORY_H
 
-#include "container.h"
+#include "details.h"
 
 #define CODED 4 /* sections in chunks, from ANCH on */
 
@@ -14,17 +14,20 @@ typedef struct chunk {
     span part[CODED];
 } chunk;
 
-/* Where a layer ends: the first chunk, row and byte of BODY that are not in it or those before. */
+/* Where a layer ends: the first chunk, row and byte of BODY that are not in it or those before. One
+ * of details goes through all chunks once more, so `chunks` is twice their number; it adds no rows.
+ */
 typedef struct layer {
     size_t chunks, rows, bytes;
-    uint64_t hash; /* of its integers and the weights */
+    uint64_t hash; /* of its integers and the weights; not used of details */
 } layer;
 
 typedef struct directory {
-    size_t anchors, chunks, layers;
+    size_t anchors, chunks, layers; /* the layer of details counts, too */
     chunk *chunk;
     layer *layer;       /* one of all chunks and no bytes, unless the file has layers */
     span header[CODED]; /* what all chunks of a section share */
+    details details;
 } directory;
 
 /* Read META's counts and CHNK, and verify what they say of the other sections.

@@ -7,7 +7,8 @@ problem neural_open(const anchors *from, neural *result)
     result->from = from;
     result->net = memory_take(sizeof *result->net);
     result->base = memory_take(4 * BASE * from->list.anchors + 4);
-    return result->net && result->base ? NULL : NO_MEMORY;
+    result->size = memory_take(4 * SCALINGS * from->list.anchors + 4);
+    return result->net && result->base && result->size ? NULL : NO_MEMORY;
 }
 
 void neural_weights(neural *n)
@@ -19,12 +20,12 @@ void neural_prepare(neural *n, size_t first, size_t count)
 {
     const v4 limit = all4(LOG_SCALE_LIMIT);
     for (size_t a = first; a < first + count; a++) {
-        float log_scale[8] = {0}, *scaling = n->from->array[3].value + SCALINGS * a;
+        float log_scale[8] = {0};
         network_base(n->net, n->from->array[2].value + FEATURES * a, n->base + BASE * a);
-        memcpy(log_scale, scaling, 4 * SCALINGS);
+        memcpy(log_scale, n->from->array[3].value + SCALINGS * a, 4 * SCALINGS);
         for (int i = 0; i < 8; i += 4)
             store4(log_scale + i, exp4(min4(max4(load4(log_scale + i), -limit), limit)));
-        memcpy(scaling, log_scale, 4 * SCALINGS);
+        memcpy(n->size + SCALINGS * a, log_scale, 4 * SCALINGS);
     }
 }
 
@@ -33,7 +34,7 @@ static void add_offset(const neural *n, size_t anchor, size_t j, const float *hi
 {
     const float *position = n->from->array[0].value + 3 * anchor;
     const float *offset = n->from->array[1].value + 3 * (OFFSETS * anchor + j);
-    const float *size = n->from->array[3].value + SCALINGS * anchor;
+    const float *size = n->size + SCALINGS * anchor;
     float color[4], shape[SHAPE];
     gaussian one = {.opacity = opacity};
     network_offset(n->net, hidden, j, color, shape);

@@ -10,6 +10,7 @@ typedef struct neural {
     const anchors *from;
     network *net;
     float *base; /* (A, BASE) */
+    float *size; /* (A, SCALINGS), the exponentials of the scalings */
 } neural;
 
 /* Room for what anchors_* decodes. */
@@ -18,8 +19,8 @@ problem neural_open(const anchors *from, neural *result);
 /* Lay out the weights, once the anchors are decoded. */
 void neural_weights(neural *n);
 
-/* Make ready `count` anchors from `first` on: their bases, and the exponentials of their scalings,
- * in place. Once for each anchor. */
+/* Make ready `count` anchors from `first` on: their bases and sizes. Once more after their features
+ * and scalings have changed; until then they are drawn as they were. */
 void neural_prepare(neural *n, size_t first, size_t count);
 
 /* Add the Gaussians of these anchors whose opacity is at least `alpha_cut`. */

@@ -1,0 +1,280 @@
+"""Files that end with a layer of details, in the page's decoder: all floats, and damage."""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+
+import numpy as np
+import pytest
+
+from clgs import _codec
+from clgs.codec.attributes import row_coder
+from clgs.codec.attributes.model import KNOWN, empty_model
+from clgs.codec.container.chunks import TAGS
+from clgs.codec.container.detl import ROWS, known_channels, pack_details
+from clgs.codec.container.reader import SceneReader
+from clgs.codec.container.sections import (
+    BODY,
+    DETL,
+    LAYR,
+    BytesSource,
+    read_container,
+    read_table,
+    write_container,
+)
+from clgs.codec.scene_decoder import decode, describe
+from clgs.codec.scene_encoder import encode
+from tests.codec.container.damage import directory, rebuilt
+from tests.codec.scenes import random_scene
+from tests.web import native
+from tests.web.scenes import quantized_scene
+
+pytestmark = native.NEEDS
+
+HEADERS = 28
+"""Bytes of DETL before the CRCs of chunks."""
+
+
+@pytest.fixture(scope="module")
+def data():
+    scene = random_scene(np.random.default_rng(4), 500)
+    return encode(scene, chunk=64, layers=3, details=True)
+
+
+def layer_ends(data):
+    """The bytes of the file up to the end of each layer."""
+    return [layer["end"] for layer in describe(data)["layers"]]
+
+
+def sorted_gaussians(page):
+    """The page's Gaussians seen from (1, 1, 1), in an order of their own."""
+    found = page.gaussians(np.ones(3))
+    order = np.lexsort(found["mean"].T)
+    return {name: values[order] for name, values in found.items()}
+
+
+def assert_drawn(library, page, scene):
+    """The page draws bit for bit what it draws of a file of ``scene`` without layers.
+
+    Call it last: there is one page at a time.
+    """
+    found = sorted_gaussians(page)
+    wanted = sorted_gaussians(native.Page(library, encode(scene)))
+    assert len(wanted["opacity"]) > 0
+    for name, values in wanted.items():
+        np.testing.assert_array_equal(found[name], values)
+
+
+@pytest.mark.parametrize("level", ["fast", "default", "max", "paper"])
+def test_details_are_the_last_layer(library, level):
+    scene = random_scene(np.random.default_rng(4), 1200)
+    chunk = 600 if level == "max" else 50  # channels are mixed in long chunks alone
+    data = encode(scene, level, chunk=chunk, layers=3, details=True)
+    ends, (_, front) = layer_ends(data), native.sizes(library, data)
+    for count, end in enumerate(ends, 1):
+        page = native.Page(library, data, front)
+        assert page.layers == (3, 0)
+        page.arrive(end - 1)
+        assert page.layers == (3, count - 1)
+        page.arrive(end)
+        assert page.layers == (3, count)
+        assert page.hashes[0] == page.hashes[1]
+        assert_drawn(library, page, decode(data, layers=count))
+
+
+def test_a_whole_file_is_read_at_once(library, data):
+    page = native.Page(library, data)
+    assert page.layers == (3, 3)
+    wanted = decode(data)
+    assert page.array("numbers", ctypes.c_double, 1)[0] == len(wanted.anchors)
+    assert_drawn(library, page, wanted)
+
+
+def test_a_scene_of_other_scales_and_far_values(library):
+    scene, _ = quantized_scene(1000, 32)
+    scene.anchors.feature[::7] *= 4001  # beyond the symbols, with literal bits
+    data = encode(scene, layers=2, details=True, importance=np.ones(len(scene.anchors)))
+    assert_drawn(library, native.Page(library, data), decode(data))
+
+
+def test_bytes_may_come_one_by_one(library, data):
+    ends, (_, front) = layer_ends(data), native.sizes(library, data)
+    page = native.Page(library, data, front)
+    for there in range(front, len(data) + 1):
+        page.arrive(there)
+        assert page.layers[1] == sum(end <= there for end in ends)
+    assert_drawn(library, page, decode(data))
+
+
+def test_a_file_cut_in_the_details_is_the_scene_without_them(library, data):
+    ends = layer_ends(data)
+    wanted = decode(data, layers=2)
+    for size in (ends[1], ends[1] + 1, (ends[1] + ends[2]) // 2, ends[2] - 1):
+        page = native.Page(library, data[:size])
+        assert page.layers == (3, 2)
+        assert_drawn(library, page, wanted)
+
+
+def test_pictures_go_on_while_details_are_added(library):
+    scene, camera = quantized_scene(3000, 32)
+    data = encode(scene, chunk=64, layers=2, details=True)
+    page = native.Page(library, data, native.sizes(library, data)[1])
+    page.arrive(layer_ends(data)[0])
+    coarse, done = page.gaussians(camera.centre), []
+    for left in page.steps(len(data)):
+        done.append(left)
+        drawn = page.gaussians(camera.centre)
+        assert page.array("numbers", ctypes.c_double, 1)[0] == len(scene.anchors)
+        assert abs(len(drawn["mean"]) / len(coarse["mean"]) - 1) < 0.05
+        for name in ("mean", "covariance"):  # what is half done is near to both
+            ratio = np.abs(drawn[name]).max() / np.abs(coarse[name]).max()
+            assert 0.5 < ratio < 2
+    assert done == list(range(done[0], -1, -1))
+    assert done[0] >= 4 * describe(data)["chunks"]["count"]
+
+
+def test_damaged_bytes_of_details_are_refused(library, data):
+    begin, front = layer_ends(data)[1], native.sizes(library, data)[1]
+    rng = np.random.default_rng(3)
+    for at in rng.integers(begin, len(data), 60).tolist():
+        damaged = bytearray(data)
+        damaged[at] ^= 1 << int(rng.integers(8))
+        page = native.Page(library, bytes(damaged), front)
+        page.arrive(begin)
+        assert page.layers == (3, 2)
+        for _ in range(2):  # a page that asks again is told again
+            with pytest.raises(ValueError, match="details are damaged"):
+                page.arrive(len(data))
+        assert page.layers == (3, 2)
+        with pytest.raises(ValueError, match="copy"):
+            native.Page(library, bytes(damaged))
+
+
+def changed(data, **sections):
+    """The file with other bytes in some sections, whose checksums are right."""
+    known = read_container(data)[1]
+    return write_container({tag: sections.get(tag, bytes(s.data)) for tag, s in known.items()})
+
+
+def with_details(data, change):
+    """The file after ``change(coded)`` of what ``pack_details`` was given, every checksum right."""
+    reader = SceneReader(BytesSource(data), read_table(BytesSource(data)))
+    body, chunks = bytes(read_container(data)[1][BODY].data), reader.chunks()
+    coded = {tag: [b"", []] for tag in ROWS}
+    for tag, (place, _) in reader.details.headers.items():
+        coded[tag][0] = body[place.offset : place.offset + place.length]
+    for chunk in chunks:
+        for tag, part in reader.detail_streams(chunk).items():
+            coded[tag][1].append(bytes(part.data))
+    change(coded)
+    section, details = pack_details(reader.details.step, coded)
+    return changed(data, DETL=section, BODY=body[: len(body) - reader.details.size] + details)
+
+
+def test_chunks_whose_checksums_are_right_are_not_believed(library, data):
+    rng, said = np.random.default_rng(5), []
+    assert with_details(data, lambda coded: None) == data
+
+    def flip(coded):
+        stream = coded[ROWS[rng.integers(3)]][1]
+        which = int(rng.integers(len(stream)))
+        damaged = bytearray(stream[which])
+        damaged[rng.integers(len(damaged))] ^= 1 << int(rng.integers(8))
+        stream[which] = bytes(damaged)
+
+    for _ in range(60):
+        try:
+            page = native.Page(library, with_details(data, flip))
+            assert page.layers == (3, 3)  # other numbers
+        except ValueError as error:
+            said.append(str(error))
+    assert len(said) > 10
+    assert all("copy" in words for words in said)
+
+
+def header(channels, known):
+    """The header of channels that are always 0, some of them known."""
+    model = empty_model(channels)
+    model["coder"][known] = KNOWN
+    model["frequency"][known] = 0
+    return row_coder.table_model(model).header
+
+
+EVEN = np.flatnonzero(known_channels(100)).tolist()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        b"",
+        row_coder.RAW,
+        row_coder.PAPER,
+        header(100, []),
+        header(100, [0]),
+        header(100, EVEN[1:]),
+        header(100, [*EVEN, 7]),
+        header(100, EVEN)[:-1],
+        header(98, EVEN[:-1]),
+    ],
+)
+def test_headers_of_details_must_know_the_even_channels(library, data, wrong):
+    def replace(coded):
+        coded["FEAT"][0] = wrong
+
+    page = native.Page(library, with_details(data, replace), native.sizes(library, data)[1] + 99)
+    with pytest.raises(ValueError, match="attributes are damaged"):
+        page.arrive(len(with_details(data, replace)))
+    assert page.layers == (3, 2)
+
+
+@pytest.mark.parametrize("known", [[0], EVEN[:25], list(range(50))])
+def test_headers_of_chunks_must_know_nothing(library, known):
+    data = encode(random_scene(np.random.default_rng(2), 300), layers=2)
+    wrong = header(50, known)
+
+    def longer(shared, crcs, table):
+        shared[2 * TAGS.index("FEAT")] = len(wrong)
+
+    with pytest.raises(ValueError, match="attributes are damaged"):
+        native.Page(library, rebuilt(data, FEAT=wrong, CHNK=directory(data, longer)))
+
+
+def test_damaged_lists_of_details_are_refused(library, data):
+    section = bytes(read_container(data)[1][DETL].data)
+    rng = np.random.default_rng(6)
+    lists = [section[:size] for size in (0, 3, 27, 28, 60, len(section) - 1)]
+    lists += [struct.pack("<I", step) + section[4:] for step in (0, 1, 2, 5, 255, 257, 2**32 - 1)]
+    lists += [section[:4] + struct.pack("<I", size) + section[8:] for size in (0, 2**31, 2**32 - 1)]
+    for at in rng.integers(0, len(section), 60).tolist():
+        lists.append(section[:at] + bytes([section[at] ^ 1 << int(rng.integers(8))]))
+        lists[-1] += section[at + 1 :]
+    for wrong in lists:
+        with pytest.raises(ValueError, match="copy"):
+            native.Page(library, changed(data, DETL=wrong))
+    chunks = describe(data)["chunks"]["count"]
+    for size in (-1, 0, 2**31 - 1):
+        listed = _codec.runlength_encode(np.full((chunks, 3), size, np.int32), 3)
+        with pytest.raises(ValueError, match="details are damaged"):
+            native.Page(library, changed(data, DETL=section[: HEADERS + 4 * chunks] + listed))
+
+
+def test_details_stand_between_the_layers_and_their_bytes_alone(library, data):
+    sections = {tag: bytes(part.data) for tag, part in read_container(data)[1].items()}
+    body = sections[BODY]
+    with pytest.raises(ValueError, match="details are damaged"):
+        native.Page(library, changed(data, BODY=body + b"\0"))
+    first = [tag for tag in sections if tag not in (LAYR, DETL, BODY)]
+    for last in ((DETL, LAYR, BODY), (DETL,), (LAYR, DETL), (DETL, BODY), (LAYR, BODY, DETL)):
+        with pytest.raises(ValueError, match=r"copy|newer page"):
+            native.Page(library, write_container({tag: sections[tag] for tag in (*first, *last)}))
+
+
+def test_products_outside_of_int32_are_refused(library):
+    scene = random_scene(np.random.default_rng(2), 300)
+    scene.anchors.feature[3, 4] = 2**29
+    data = encode(scene, layers=2, details=True, importance=np.ones(len(scene.anchors)))
+    assert native.Page(library, data).layers == (2, 2)
+    section = bytes(read_container(data)[1][DETL].data)
+    with pytest.raises(ValueError, match="anchors are damaged"):
+        native.Page(library, changed(data, DETL=b"\xff" + section[1:]))
