@@ -143,7 +143,7 @@ def test_damaged_bytes_of_details_are_refused(library, data):
         page = native.Page(library, bytes(damaged), front)
         page.arrive(begin)
         assert page.layers == (3, 2)
-        for _ in range(2):  # a page that asks again is told again
+        for _ in range(2):  # the second time it is the same problem
             with pytest.raises(ValueError, match="details are damaged"):
                 page.arrive(len(data))
         assert page.layers == (3, 2)
@@ -193,51 +193,74 @@ def test_chunks_whose_checksums_are_right_are_not_believed(library, data):
     assert all("copy" in words for words in said)
 
 
-def header(channels, known):
-    """The header of channels that are always 0, some of them known."""
+def zeros_with(channels, known):
+    """A model of channels that are always 0, some of them known."""
     model = empty_model(channels)
     model["coder"][known] = KNOWN
     model["frequency"][known] = 0
-    return row_coder.table_model(model).header
+    return row_coder.table_model(model)
 
 
 EVEN = np.flatnonzero(known_channels(100)).tolist()
+MODELS = {
+    "raw": row_coder.RowModel(100, row_coder.RAW),
+    "paper": row_coder.RowModel(100, row_coder.PAPER),
+    "none": zeros_with(100, []),
+    "first": zeros_with(100, [0]),
+    "not the first": zeros_with(100, EVEN[1:]),
+    "an odd one too": zeros_with(100, [*EVEN, 7]),
+    "as it must be": zeros_with(100, EVEN),
+}
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        b"",
-        row_coder.RAW,
-        row_coder.PAPER,
-        header(100, []),
-        header(100, [0]),
-        header(100, EVEN[1:]),
-        header(100, [*EVEN, 7]),
-        header(100, EVEN)[:-1],
-        header(98, EVEN[:-1]),
-    ],
-)
-def test_headers_of_details_must_know_the_even_channels(library, data, wrong):
+@pytest.mark.parametrize("case", MODELS)
+def test_headers_of_details_must_know_the_even_channels(library, data, case):
+    """Nothing else is wrong: the chunks fit the header, and say that features stay as they are."""
+    model = MODELS[case]
+    reader = SceneReader(BytesSource(data), read_table(BytesSource(data)))
+
     def replace(coded):
-        coded["FEAT"][0] = wrong
+        rows = [np.zeros((len(chunk), 100), np.int32) for chunk in reader.chunks()]
+        coded["FEAT"] = [model.header, [model.encode(zeros) for zeros in rows]]
 
-    page = native.Page(library, with_details(data, replace), native.sizes(library, data)[1] + 99)
+    file = with_details(data, replace)
+    page = native.Page(library, file, native.sizes(library, file)[1])
+    if case == "as it must be":
+        page.arrive(len(file))
+        assert page.layers == (3, 3)
+        return
     with pytest.raises(ValueError, match="attributes are damaged"):
-        page.arrive(len(with_details(data, replace)))
+        page.arrive(len(file))
     assert page.layers == (3, 2)
 
 
-@pytest.mark.parametrize("known", [[0], EVEN[:25], list(range(50))])
-def test_headers_of_chunks_must_know_nothing(library, known):
-    data = encode(random_scene(np.random.default_rng(2), 300), layers=2)
-    wrong = header(50, known)
-
-    def longer(shared, crcs, table):
-        shared[2 * TAGS.index("FEAT")] = len(wrong)
+@pytest.mark.parametrize("cut", [0, 1, -1])
+def test_cut_headers_of_details_are_refused(library, data, cut):
+    def shorten(coded):
+        coded["SCAL"][0] = coded["SCAL"][0][:cut]
 
     with pytest.raises(ValueError, match="attributes are damaged"):
-        native.Page(library, rebuilt(data, FEAT=wrong, CHNK=directory(data, longer)))
+        native.Page(library, with_details(data, shorten))
+
+
+@pytest.mark.parametrize("known", [[], [0], EVEN[:25]])
+def test_headers_of_chunks_must_know_nothing(library, known):
+    """Their values would be read from memory that was never set."""
+    scene = random_scene(np.random.default_rng(2), 300)
+    scene.anchors.feature[:] = 0
+    data, model, column = encode(scene), zeros_with(50, known), TAGS.index("FEAT")
+    stream = model.encode(scene.anchors.feature)
+
+    def of_the_model(shared, crcs, table):
+        shared[2 * column] = len(model.header)
+        table[:, 7 + column] = len(stream)
+
+    other = rebuilt(data, FEAT=model.header + stream, CHNK=directory(data, of_the_model))
+    if not known:
+        assert native.Page(library, other).layers == (1, 1)
+        return
+    with pytest.raises(ValueError, match="attributes are damaged"):
+        native.Page(library, other)
 
 
 def test_damaged_lists_of_details_are_refused(library, data):
