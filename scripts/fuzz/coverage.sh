@@ -40,7 +40,7 @@ report() {
     "$(tool llvm-cov)" report "${programs[@]:1}" -instr-profile "$build/profile" codec_c/src
 }
 report | tail -n 1 | sed 's/^TOTAL /targets/'
-for test in test_codec test_attributes vectors; do
+for test in test_codec test_attributes test_known vectors; do
     "$clang" "${flags[@]}" "tests/c/$test.c" "$build"/*.o -o "$build/$test"
     LLVM_PROFILE_FILE=$build/$test.profraw "$build/$test" >"$build/$test.log" 2>&1
     programs+=(-object "$build/$test")

@@ -296,22 +296,6 @@ static void test_bad_models(void)
     free(count);
 }
 
-static void test_known_channels(void)
-{
-    clgs_channel *model = allocate(5 * sizeof *model);
-    memset(model, 0, 5 * sizeof *model);
-    model[3].coder = CLGS_MIXED;
-    CHECK(clgs_attributes_known(model, 0) == 0 && clgs_attributes_known(model, 5) == 0);
-    model[0].coder = model[2].coder = CLGS_KNOWN;
-    CHECK(clgs_attributes_known(model, 4) == 1 && clgs_attributes_known(model, 3) == 1);
-    CHECK(clgs_attributes_known(model, 5) == -1); /* channel 4 is not known */
-    model[1].coder = CLGS_KNOWN;
-    CHECK(clgs_attributes_known(model, 4) == -1);
-    model[0].coder = CLGS_STATIC;
-    CHECK(clgs_attributes_known(model, 1) == 0 && clgs_attributes_known(model, 2) == -1);
-    free(model);
-}
-
 static int64_t distance_of(const int32_t *a, const int32_t *b)
 {
     int64_t sum = 0;
@@ -372,27 +356,6 @@ static void test_bad_near(void)
     free(workspace);
 }
 
-/* Known channels alone are no bytes, and stay as they are; none has taps. */
-static void test_known_alone(void)
-{
-    clgs_channel again[2], model[2] = {{.centre = 5, .gain = 9, .coder = CLGS_KNOWN, .classes = 1},
-                                       {.span = 1, .coder = CLGS_KNOWN, .classes = 1}};
-    int32_t value[2] = {-3, INT32_MIN}, same[2] = {-3, INT32_MIN};
-    uint8_t out[256];
-    void *work = allocate(clgs_attributes_workspace(1, 2) + clgs_attributes_header_workspace());
-    CHECK(clgs_attributes_encode(model, value, NULL, 1, 2, out, sizeof out, work) == 0);
-    CHECK(clgs_attributes_decode(model, out, 0, value, NULL, 1, 2, work) == CLGS_OK);
-    CHECK(clgs_attributes_decode(model, out, 1, value, NULL, 1, 2, work) == CLGS_ERROR_TRAILING);
-    CHECK(memcmp(value, same, sizeof value) == 0);
-    size_t size = clgs_attributes_header_write(model, 2, out, sizeof out, work);
-    CHECK(clgs_attributes_header_read(out, size, again, 2, work) == CLGS_OK);
-    CHECK(memcmp(again, model, sizeof model) == 0);
-    model[1].taps = 1;
-    CHECK(clgs_attributes_header_write(model, 2, out, sizeof out, work) == 0);
-    CHECK(clgs_attributes_decode(model, out, 0, value, NULL, 1, 2, work) == CLGS_ERROR_ARGUMENT);
-    free(work);
-}
-
 int main(void)
 {
     test_largest_header();
@@ -403,11 +366,9 @@ int main(void)
         test_stream(33, 6, 0, other);
     }
     test_stream(CLGS_LONG_ROWS, 1, 27, 0);
-    test_known_alone();
     CHECK(clgs_attributes_model_size(0) == 0 && clgs_attributes_model_size(257) == 0);
     CHECK(clgs_attributes_workspace(CLGS_MAX_POINTS + 1, 1) == 0);
     test_bad_models();
-    test_known_channels();
     test_bad_near();
     for (size_t rows = 0; rows < 40; rows++)
         test_near(rows, rows % 3 == 0 ? 4 : 1 << CLGS_MAX_DEPTH);
