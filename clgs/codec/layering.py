@@ -27,12 +27,16 @@ CHUNK = 1024
 
 
 def choose_layers(
-    scene: QuantizedScene, count: int, importance: npt.NDArray[np.float64] | None = None
+    scene: QuantizedScene,
+    count: int,
+    importance: npt.NDArray[np.float64] | None = None,
+    details: int = 0,
 ) -> npt.NDArray[np.intp]:
     """The layer (A,), from 0 on, of each anchor, by ``importance`` (A,) per bit of its cost.
 
     The bits of all layers up to one grow by the same factor from layer to layer, from FIRST on. By
-    default it is ``contribution`` as seen from all around.
+    default it is ``contribution`` as seen from all around. ``details``: layers without anchors that
+    follow; the error of too many layers counts them.
 
     Raises:
         UsageError: there are fewer anchors than layers, or the number is out of range.
@@ -40,8 +44,8 @@ def choose_layers(
     anchors = len(scene.anchors)
     if not 1 <= count <= min(MAX_LAYERS, anchors):
         raise UsageError(
-            f"layers: {count}; 1 to {MAX_LAYERS} are possible, each of 1 anchor at least, "
-            f"and there are {anchors}"
+            f"layers: {count + details}; 1 to {MAX_LAYERS} are possible, each of 1 anchor at least"
+            f"{' but the last' * details}, and there are {anchors}"
         )
     if importance is None:
         importance = contribution(scene)

@@ -167,6 +167,7 @@ def decode_box(
     """
     reader = SceneReader(source, read_table(source))
     chosen = choose_layers(reader, layers)
+    everything = chosen.whole and box == EVERYWHERE
 
     def world(position: npt.NDArray[np.integer[Any]]) -> npt.NDArray[np.float64]:
         """Positions (A, 3) in the units of the input data; on each axis it never decreases."""
@@ -187,7 +188,10 @@ def decode_box(
             reader.fetch(filled, details=True)
             anchors = _add_details(reader, filled, anchors, pool)
     kept = np.concatenate([np.empty(0, bool), *(inside[i] for i in used)])
-    return reader.scene(_in_order(reader, take(anchors, kept)), weights.result())
+    anchors, flat = _in_order(reader, take(anchors, kept)), weights.result()
+    if everything and content_hash(anchors, flat) != reader.meta.content_hash:
+        raise reader.error(META, "the decoded integers do not match their hash")
+    return reader.scene(anchors, flat)
 
 
 def _decode_positions(

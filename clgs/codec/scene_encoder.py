@@ -104,7 +104,7 @@ def encode(
         whole = anchors = sort_anchors(scene.anchors, pool.map)
         ends = [0, len(anchors)]
         if layers is not None:
-            anchors, ends = _in_layers(scene, whole, layers - detailed, importance)
+            anchors, ends = _in_layers(scene, whole, layers, importance, detailed)
         position = anchors.position
         rows, detail_rows = attribute_rows(anchors), dict[str, npt.NDArray[np.int32]]()
         if detailed:
@@ -208,11 +208,13 @@ def _in_layers(
     whole: QuantizedAnchors,
     layers: int,
     importance: npt.NDArray[np.float64] | None,
+    detailed: bool,
 ) -> tuple[QuantizedAnchors, list[int]]:
     """The anchors ``whole``, in Morton order, layer by layer; where layers begin, and the end."""
     if importance is not None:
         importance = importance[octree.morton_order(scene.anchors.position)]
-    layer = layering.choose_layers(replace(scene, anchors=whole), layers, importance)
+    ordered, details = replace(scene, anchors=whole), int(detailed)
+    layer = layering.choose_layers(ordered, layers - details, importance, details)
     ends = [0, *np.cumsum(np.bincount(layer)).tolist()]
     return take(whole, np.argsort(layer, kind="stable")), ends
 

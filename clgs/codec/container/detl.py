@@ -32,16 +32,22 @@ _HEAD = struct.Struct("<7I")
 class Details:
     """What DETL says.
 
-    headers: for each of ROWS the bytes that all chunks share, with their CRC; places: of each chunk
-    its bytes for each of ROWS, one after the other, all in BODY; crcs: of these; size: bytes of all
-    details in BODY.
+    headers: for each of ROWS the bytes in BODY that all chunks share, with their CRC; starts (n, 3)
+    and lengths (n, 3): bytes of each chunk for each of ROWS, one after the other, in BODY; crcs:
+    (n,) of these; size: bytes of all details in BODY.
     """
 
     step: int
     headers: dict[str, tuple[ByteRange, int]]
-    places: list[dict[str, ByteRange]]
-    crcs: list[int]
+    starts: npt.NDArray[np.int64]
+    lengths: npt.NDArray[np.int32]
+    crcs: npt.NDArray[np.uint32]
     size: int
+
+    def places(self, chunk: int) -> dict[str, ByteRange]:
+        """The bytes of a chunk in BODY for each of ROWS."""
+        parts = zip(self.starts[chunk].tolist(), self.lengths[chunk].tolist(), strict=True)
+        return dict(zip(ROWS, (ByteRange(*part) for part in parts), strict=True))
 
 
 def pack_details(step: int, coded: dict[str, tuple[bytes, list[bytes]]]) -> tuple[bytes, bytes]:
@@ -70,18 +76,17 @@ def unpack_details(data: bytes | memoryview, chunks: int, begin: int) -> Details
     step, *shared = _HEAD.unpack_from(data)
     if step % 2 == 0 or step > MAX_STEP:
         raise ValueError(f"step {step} is not an odd number up to {MAX_STEP}")
-    crcs = struct.unpack_from(f"<{chunks}I", data, _HEAD.size)
-    sizes = np.empty((chunks, len(ROWS)), np.int32)
-    _codec.runlength_decode(data[_HEAD.size + 4 * chunks :], sizes, len(ROWS))
-    if (sizes < 0).any():
+    crcs = np.frombuffer(data, "<u4", chunks, _HEAD.size)
+    lengths = np.empty((chunks, len(ROWS)), np.int32)
+    _codec.runlength_decode(data[_HEAD.size + 4 * chunks :], lengths, len(ROWS))
+    if (lengths < 0).any():
         raise ValueError("a chunk has a negative length")
-    lengths = [*shared[::2], *sizes.ravel().tolist()]
-    ends = list(accumulate(lengths, initial=begin))
-    ranges = [ByteRange(at, length) for at, length in zip(ends, lengths, strict=False)]
-    headers = dict(zip(ROWS, zip(ranges, shared[1::2], strict=False), strict=True))
-    per_chunk = (ranges[first : first + 3] for first in range(3, len(ranges), 3))
-    places = [dict(zip(ROWS, three, strict=True)) for three in per_chunk]
-    return Details(step, headers, places, list(crcs), ends[-1] - begin)
+    first = list(accumulate(shared[::2], initial=begin))
+    ranges = (ByteRange(at, length) for at, length in zip(first, shared[::2], strict=False))
+    headers = dict(zip(ROWS, zip(ranges, shared[1::2], strict=True), strict=True))
+    ends = first[-1] + np.cumsum(lengths, dtype=np.int64).reshape(lengths.shape)
+    end = int(ends[-1, -1]) if chunks else first[-1]
+    return Details(step, headers, ends - lengths, lengths, crcs, end - begin)
 
 
 def round_attributes(anchors: QuantizedAnchors) -> tuple[QuantizedAnchors, int]:

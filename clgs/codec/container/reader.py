@@ -181,8 +181,8 @@ class SceneReader:
         if not details:
             return ByteRange(chunk.start, chunk.end - chunk.start)
         assert self.details is not None
-        parts = self.details.places[chunk.number].values()
-        return ByteRange(min(part.offset for part in parts), sum(part.length for part in parts))
+        start, lengths = self.details.starts[chunk.number, 0], self.details.lengths[chunk.number]
+        return ByteRange(int(start), int(lengths.sum(dtype=np.int64)))
 
     def positions(self, chunk: Chunk) -> npt.NDArray[np.int32]:
         """Positions (n, 3) int32 of a chunk; CodecError if the chunk is damaged."""
@@ -229,7 +229,7 @@ class SceneReader:
         if _codec.crc32c(part.data) != self.details.crcs[chunk.number]:
             raise part.error(f"chunk {chunk.number}: the checksum of its details differs")
         found = {}
-        for tag, own in self.details.places[chunk.number].items():
+        for tag, own in self.details.places(chunk.number).items():
             at = own.offset - place.offset
             found[tag] = Section(BODY, part.offset + at, part.data[at : at + own.length])
         return found

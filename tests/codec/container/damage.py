@@ -53,7 +53,7 @@ def checked_details(sections: dict[str, bytes]) -> bytes:
     for i, (place, _) in enumerate(details.headers.values()):
         crc = _codec.crc32c(body[place.offset : place.offset + place.length])
         struct.pack_into("<I", section, 8 + 8 * i, crc)
-    for i, places in enumerate(details.places):
+    for i, places in enumerate(all_places(details)):
         parts = [body[place.offset : place.offset + place.length] for place in places.values()]
         struct.pack_into("<I", section, 28 + 4 * i, _codec.crc32c(b"".join(parts)))
     return bytes(section)
@@ -126,3 +126,8 @@ def patched(data: bytes, at: int, new: bytes) -> bytes:
     end = HEAD + ENTRY * int.from_bytes(data[12:16], "little")
     file[end : end + 4] = struct.pack("<I", _codec.crc32c(bytes(file[:end])))
     return bytes(file)
+
+
+def all_places(details):
+    """The bytes of the details of every chunk, in BODY."""
+    return [details.places(chunk) for chunk in range(len(details.crcs))]

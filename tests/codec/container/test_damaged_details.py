@@ -20,6 +20,7 @@ from clgs.scene.region import Box
 from tests.codec.container.damage import (
     ENTRY,
     HEAD,
+    all_places,
     checked,
     contents,
     patched,
@@ -66,7 +67,10 @@ def repacked(**changed):
         return body[place.offset : place.offset + place.length]
 
     coded = {
-        tag: (bytes_at(details.headers[tag][0]), [bytes_at(one[tag]) for one in details.places])
+        tag: (
+            bytes_at(details.headers[tag][0]),
+            [bytes_at(one[tag]) for one in all_places(details)],
+        )
         for tag in detl.ROWS
     }
     section, rest = detl.pack_details(details.step, {**coded, **changed})
@@ -116,7 +120,7 @@ def listed(change):
     """DETL with other numbers of bytes."""
     section = contents(GOLD)[DETL]
     details = detl.unpack_details(section, len(CHUNKS), BEGIN)
-    sizes = np.array([[part.length for part in one.values()] for one in details.places], np.int32)
+    sizes = details.lengths.copy()
     change(sizes)
     return section[: 28 + 4 * len(CHUNKS)] + _codec.runlength_encode(sizes, 3)
 

@@ -18,7 +18,7 @@ from clgs.codec.scene_encoder import encode, sort_anchors
 from clgs.errors import CodecError, UsageError
 from clgs.scene.anchors import take
 from clgs.scene.region import Box
-from tests.codec.container.damage import contents
+from tests.codec.container.damage import contents, rebuilt
 from tests.codec.container.range_server import serve
 from tests.codec.samples import INT32
 from tests.codec.scenes import GOLDEN, assert_same, random_scene
@@ -244,3 +244,19 @@ def test_every_flipped_bit_is_seen_in_whole_files_and_in_what_is_read_of_cut_one
         if at < second:
             with pytest.raises(CodecError):
                 decode(damaged[:second])
+
+
+def test_too_many_layers_are_counted_with_that_of_details(small):
+    few = replace(small, anchors=take(small.anchors, slice(0, 3)))
+    assert len(describe(encode(few, layers=4, details=True))["layers"]) == 4
+    with pytest.raises(UsageError, match=r"^layers: 5; .* but the last, and there are 3$"):
+        encode(few, layers=5, details=True)
+
+
+def test_all_of_a_file_is_compared_with_its_hash_also_if_it_is_read_in_parts(file):
+    meta = bytearray(contents(file)["META"])
+    meta[144] ^= 1
+    other = BytesSource(rebuilt(file, META=bytes(meta)))
+    with pytest.raises(CodecError, match="META at byte .*: the decoded integers do not match"):
+        decode_box(other, EVERYWHERE)
+    assert len(decode_box(other, EVERYWHERE, layers=3).anchors) > 0
