@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from clgs.codec.compensate import compensated
 from clgs.errors import UsageError
 from clgs.scene.anchors import QuantizedAnchors
 from clgs.scene.scene import QuantizedScene
@@ -19,6 +20,9 @@ ENOUGH = 0.99
 """Share of a target size that ends the search."""
 
 MAX_TRIALS = 12
+
+HALVINGS = 7
+"""Steps of the search for how coarse Q must be."""
 
 SPAN_LIMIT = 1 << 16
 """Channels with a smaller span of values are counted without sorting."""
@@ -33,12 +37,19 @@ def take(scene: QuantizedScene, rows: npt.NDArray[np.intp]) -> QuantizedScene:
     return replace(scene, anchors=scene.anchors.map(lambda array: array[kept]))
 
 
-def coarsen(scene: QuantizedScene, factors: Factors) -> QuantizedScene:
-    """The scene with fewer integers per unit: integers v become rint(v * factor), as Q does."""
-    integers = {
-        name: np.rint(getattr(scene.anchors, name) * factor).astype(np.int32)
-        for name, factor in factors.items()
-    }
+def coarsen(
+    scene: QuantizedScene, factors: Factors, products: npt.NDArray[np.float64] | None = None
+) -> QuantizedScene:
+    """The scene with fewer integers per unit: integers v become rint(v * factor), as Q does.
+
+    ``products`` (F, F): how errors of features add up; these then make up for each other.
+    """
+    integers = {}
+    for name, factor in factors.items():
+        values = getattr(scene.anchors, name) * factor
+        if name == "feature" and products is not None:
+            values = compensated(values, products)
+        integers[name] = np.rint(values).astype(np.int32)
     scales = {name: getattr(scene.scales, name) * factor for name, factor in factors.items()}
     return replace(
         scene, anchors=replace(scene.anchors, **integers), scales=replace(scene.scales, **scales)
@@ -60,42 +71,31 @@ def anchor_bits(anchors: QuantizedAnchors) -> npt.NDArray[np.float64]:
     return bits
 
 
-def most_useful_first(
-    scene: QuantizedScene, importance: npt.NDArray[np.float64]
-) -> npt.NDArray[np.intp]:
-    """The anchors (A,) by ``importance`` (A,) per bit of their cost, largest first."""
-    return np.argsort(-importance / anchor_bits(scene.anchors), kind="stable")
-
-
 def fit_size(
     scene: QuantizedScene,
     order: npt.NDArray[np.intp],
     target: int,
     encode: Callable[[QuantizedScene], bytes],
-    whole: int | None = None,
 ) -> tuple[QuantizedScene, bytes]:
     """The scene of as many anchors, taken in ``order`` (A,), as fit ``target`` bytes; and its file.
 
     False position over the number of anchors, with exact sizes: never above ``target``, and at
-    least ENOUGH of it or within an anchor of it, if MAX_TRIALS suffice. ``whole``: about the
-    bytes of the file of all anchors, if it is known to be above ``target``.
+    least ENOUGH of it or within an anchor of it, if MAX_TRIALS suffice.
 
     Raises:
         UsageError: the file is larger even without anchors.
     """
     cost = np.concatenate([[0.0], np.cumsum(anchor_bits(scene.anchors)[order] / 8)])
-    if whole is None:
-        data = encode(scene)
-        if len(data) <= target:
-            return scene, data
-        whole = len(data)
+    data = encode(scene)
+    if len(data) <= target:
+        return scene, data
     least_size(scene, target, encode)
 
     def cut(count: int) -> tuple[QuantizedScene, bytes]:
         trial = take(scene, order[:count])
         return trial, encode(trial)
 
-    high, high_size, low = len(order), whole, 0
+    high, high_size, low = len(order), len(data), 0
     best, data = cut(0)
     for _ in range(MAX_TRIALS):
         if high - low <= 1 or len(data) >= ENOUGH * target:
@@ -110,6 +110,38 @@ def fit_size(
         else:
             high, high_size = count, len(trial_data)
     return best, data
+
+
+def fit_coarsened(
+    scene: QuantizedScene,
+    factors: Factors,
+    products: npt.NDArray[np.float64],
+    order: npt.NDArray[np.intp],
+    target: int,
+    encode: Callable[[QuantizedScene], bytes],
+) -> tuple[QuantizedScene, bytes, Factors]:
+    """The scene in ``target`` bytes, which the whole file exceeds, its file and what Q is times.
+
+    Q becomes coarser, by powers from 0 to 1 of ``factors``, until all anchors fit. If they never
+    do, or leave too much room, anchors are dropped, too, those at the end of ``order`` (A,) first.
+    """
+
+    def coarser(power: float) -> tuple[QuantizedScene, Factors]:
+        tried = {n: factor**power for n, factor in factors.items() if factor**power < 1}
+        return coarsen(scene, tried, products), tried
+
+    fine, coarse, power = 0.0, 1.0, 1.0
+    for _ in range(HALVINGS):
+        trial, tried = coarser(power)
+        data = encode(trial)
+        if ENOUGH * target <= len(data) <= target:
+            return trial, data, tried
+        fine, coarse = (power, coarse) if len(data) > target else (fine, power)
+        if fine == coarse:
+            break
+        power = (fine + coarse) / 2
+    trial, tried = coarser(fine)
+    return *fit_size(trial, order, target, encode), tried
 
 
 def least_size(

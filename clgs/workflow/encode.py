@@ -61,9 +61,9 @@ def encode_within(
 ) -> FittedScene:
     """Leave out anchors, and make Q coarser, until the file meets one of the two targets.
 
-    The training views of the data set that ``views`` names say what is useful; without one, size
-    does. PSNR (dB) needs them; it is measured on MEASURED of them, or with ``all_views`` on all.
-    ``encode`` gives the bytes of a scene, ``path`` says where it was read.
+    The training views of the data set that ``views`` names say what is useful; without one, what
+    shows from all around is. PSNR (dB) needs them; it is measured on MEASURED of them, or with
+    ``all_views`` on all. ``encode`` gives the bytes of a scene, ``path`` says where it was read.
 
     Raises:
         UsageError: the target cannot be reached.

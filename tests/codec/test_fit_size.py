@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.codec.fit_size import anchor_bits, coarsen, fit_size, most_useful_first, take
+from clgs.codec.compensate import hidden_products
+from clgs.codec.fit_size import anchor_bits, coarsen, fit_coarsened, fit_size, take
 from clgs.codec.scene_decoder import decode
 from clgs.codec.scene_encoder import encode
 from clgs.errors import UsageError
 from clgs.scene.anchors import QuantizationScales
-from clgs.scene.mlps import MLP_SIZE, Mlps
+from clgs.scene.mlps import MLP_SIZE, Mlps, init_mlps
 from clgs.scene.scene import QuantizedScene
 from tests.codec.scenes import assert_same, random_scene
 
@@ -58,6 +59,21 @@ def test_less_than_no_anchors_is_refused(scene: QuantizedScene) -> None:
         fit_size(scene, order, least - 1, fast)
 
 
+@pytest.mark.parametrize(("share", "all_fit"), [(0.95, True), (0.8, True), (0.4, False)])
+def test_anchors_go_only_if_coarser_integers_do_not_suffice(
+    scene: QuantizedScene, rng: np.random.Generator, share: float, all_fit: bool
+) -> None:
+    target, order = int(share * len(fast(scene))), np.arange(len(scene.anchors))
+    limits = {"feature": 0.4}
+    products = hidden_products(init_mlps(rng))
+    found, data, factors = fit_coarsened(scene, limits, products, order, target, fast)
+    assert 0.99 * target <= len(data) <= target
+    assert data == fast(found)
+    assert_same(found, take(coarsen(scene, factors, products), order[: len(found.anchors)]))
+    assert (len(found.anchors) == len(scene.anchors)) == all_fit
+    assert (factors == limits) == (not all_fit)
+
+
 def test_coarser_integers_keep_their_meaning(scene: QuantizedScene) -> None:
     found = coarsen(scene, {"feature": 0.5, "scaling": 0.75})
     assert found.scales == QuantizationScales(200.0, 1.0, 0.5, 6.0)
@@ -91,5 +107,3 @@ def test_bits_follow_frequencies(scene: QuantizedScene) -> None:
     common = take(scene, np.argsort(bits)[:200])
     rare = take(scene, np.argsort(bits)[-200:])
     assert len(fast(common)) < len(fast(rare))
-    order = most_useful_first(scene, np.ones(len(bits)))
-    np.testing.assert_array_equal(order, np.argsort(bits, kind="stable"))

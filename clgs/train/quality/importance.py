@@ -10,7 +10,7 @@ do harm need each other, and leaving out thousands of them because of it costs f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import zip_longest
@@ -19,10 +19,11 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.data.masks import Mask
+from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import density
 from clgs.options import DEFAULT, RenderOptions
-from clgs.render.frame import EXACT_ROOM, DeviceScene, upload_view
+from clgs.render.frame import EXACT_ROOM, DeviceScene, Frame, upload_view
 from clgs.render.rasterise import blend_backward, rasterise, rasterise_backward, with_enough_room
 from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene, RenderSettings
@@ -83,13 +84,7 @@ def sensitivity(
     found = density.no_importance(device, len(scene.anchors))
     sizes = {n: array.shape for n, array in scene.anchors.items() if n != "position"}
     curvature = {name: device.zeros(size) for name, size in sizes.items() if curved}
-    rng, room = np.random.default_rng(SEED), EXACT_ROOM
-    for camera, mask in zip_longest(cameras, used):
-        view = upload_view(device, camera, settings)
-        draw = partial(rasterise, device, scene, view, options)
-        frame, room = with_enough_room(device, room, draw)
-        random = 2 * rng.integers(0, 2, frame.image.shape, np.int8).astype(np.float32) - 1
-        signs = device.upload(random if mask is None else random * mask)
+    for frame, signs in _looks(device, scene, settings, cameras, options, used):
         if curved:
             gradients = rasterise_backward(device, scene, frame, signs)
             for name, total in curvature.items():
@@ -104,6 +99,51 @@ def sensitivity(
         on_render()
     sums = {name: device.download(array) for name, array in curvature.items()}
     return Sensitivity(device.download(found.total), sums, device.download(found.seen) > 0)
+
+
+def feature_products(
+    device: Device,
+    scene: DeviceScene,
+    settings: RenderSettings,
+    cameras: Sequence[Camera],
+    options: RenderOptions = DEFAULT,
+    on_render: Callable[[], None] = lambda: None,
+    used: Sequence[Mask | None] = (),
+) -> npt.NDArray[np.float64]:
+    """How errors e (F,) of an anchor's features add up: e @ products @ e, as the squared error.
+
+    The block of the Gauss-Newton matrix for the features of an anchor, (F, F), summed over all
+    anchors. Arguments are those of :func:`sensitivity`.
+    """
+    features = scene.anchors.feature.shape[1]
+    products = np.zeros((features, features))
+    for frame, signs in _looks(device, scene, settings, cameras, options, used):
+        gradients = rasterise_backward(device, scene, frame, signs)
+        d_feature = device.download(gradients.d_feature).astype(np.float64)
+        products += d_feature.T @ d_feature
+        del frame, signs, gradients  # before the next ones are made
+        on_render()
+    return products
+
+
+def _looks(
+    device: Device,
+    scene: DeviceScene,
+    settings: RenderSettings,
+    cameras: Sequence[Camera],
+    options: RenderOptions,
+    used: Sequence[Mask | None],
+) -> Iterator[tuple[Frame, DeviceArray]]:
+    """The frame of each camera, and random signs for its pixels, 0 where they do not count."""
+    rng, room = np.random.default_rng(SEED), EXACT_ROOM
+    for camera, mask in zip_longest(cameras, used):
+        view = upload_view(device, camera, settings)
+        draw = partial(rasterise, device, scene, view, options)
+        frame, room = with_enough_room(device, room, draw)
+        random = 2 * rng.integers(0, 2, frame.image.shape, np.int8).astype(np.float32) - 1
+        signs = device.upload(random if mask is None else random * mask)
+        yield frame, signs
+        del frame, signs  # before the next ones are made
 
 
 def importance_without_views(scene: QuantizedScene) -> npt.NDArray[np.float64]:

@@ -1,26 +1,29 @@
 """A trained scene in a given number of bytes, or with a given PSNR, without training.
 
-Anchors are dropped, least useful per bit first; before that, Q_O, Q_A or Q_S may be made coarser.
-Q_P stays: a coarser grid would move all Gaussians of an anchor, and positions are a small share.
+Q_O, Q_A and Q_S become coarser, and anchors are dropped, least useful first. Q_P stays: a coarser
+grid would move all Gaussians of an anchor, and positions are a small share.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
 
+from clgs.codec.compensate import hidden_products
+from clgs.codec.contribution import contribution
 from clgs.codec.fit_size import (
     Factors,
     anchor_bits,
     coarsen,
-    fit_size,
+    fit_coarsened,
     least_size,
-    most_useful_first,
     take,
 )
+from clgs.data.masks import Mask
 from clgs.data.view import View
 from clgs.errors import UsageError
 from clgs.opencl.device import Device
@@ -29,18 +32,19 @@ from clgs.render.frame import upload_scene
 from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene
-from clgs.train.quality.importance import importance_without_views, sensitivity
+from clgs.train.quality.importance import feature_products, sensitivity
 from clgs.train.quality.score_views import mean_psnr
 
 Encode = Callable[[QuantizedScene], bytes]
 
-COARSER = ("offset", "feature", "scaling")
-"""Attributes whose Q may be multiplied by STEP, again and again, while that costs least."""
+COARSER = ("feature", "scaling", "offset")
+"""Attributes whose Q may become coarser, in the order in which that is tried."""
 
-STEP = 0.75
+STEPS = (0.6, 0.8)
+"""What their Q are multiplied by as long as that is a gain, roughly first."""
 
-SPARE = 1.1
-"""A coarser Q is tried if all anchors would still take this many times the room."""
+BLIND = {"feature": 0.25, "scaling": 0.33, "offset": 0.4}
+"""Without views Q become this coarse before anchors are dropped."""
 
 MAX_VIEWS = 48
 """The most views that say what is useful; each shows anchors that few others do."""
@@ -48,8 +52,17 @@ MAX_VIEWS = 48
 MEASURED, COMPARED = 12, 6
 """Views on which PSNR is measured, unless all are asked for, and on which Q are compared."""
 
+ADDED = 12
+"""Views that show how errors of features add up."""
+
 PIXELS = 2.0
 """Usefulness is judged at half the resolution if this many pixels per anchor remain."""
+
+MEASURED_SHARE = 0.75
+"""The power of an anchor's importance in its usefulness; the rest is that of how much it shows.
+
+Importance is that of one anchor among all others, and many go at once.
+"""
 
 ROUND = 0.15
 """Share of all anchors that is dropped before the others are judged again."""
@@ -78,17 +91,28 @@ class SceneJudge:
 
     def importance(self, scene: QuantizedScene) -> npt.NDArray[np.float64]:
         """The squared error of the pictures that each anchor saves, (A,)."""
-        room = PIXELS * len(scene.anchors)
-        factors = [
-            2 if view.camera.width * view.camera.height >= 4 * room else 1 for view in self.seen
-        ]
-        pairs = list(zip(self.seen, factors, strict=True))
-        cameras = [view.camera.reduced(factor) for view, factor in pairs]
-        used = [view.used(factor) for view, factor in pairs]
+        cameras, used = _seen(self.seen, len(scene.anchors))
         uploaded = upload_scene(self.device, scene.dequantize())
         shared = scene.settings, cameras, self.options, False, self.on_render, used
         found = sensitivity(self.device, uploaded, *shared)
         return found.importance.astype(np.float64)
+
+    def products(self, scene: QuantizedScene) -> npt.NDArray[np.float64]:
+        """How errors of features add up in the pictures, (F, F)."""
+        few = self.seen[:: -(-len(self.seen) // ADDED)]
+        cameras, used = _seen(few, len(scene.anchors))
+        uploaded = upload_scene(self.device, scene.dequantize())
+        shared = scene.settings, cameras, self.options, self.on_render, used
+        return feature_products(self.device, uploaded, *shared)
+
+
+def _seen(views: Sequence[View], anchors: int) -> tuple[list[Camera], list[Mask | None]]:
+    """The cameras and masks of ``views``, of half the resolution if enough pixels remain."""
+    room = PIXELS * anchors
+    factors = [2 if view.camera.width * view.camera.height >= 4 * room else 1 for view in views]
+    pairs = list(zip(views, factors, strict=True))
+    cameras = [view.camera.reduced(factor) for view, factor in pairs]
+    return cameras, [view.used(factor) for view, factor in pairs]
 
 
 @dataclass(frozen=True)
@@ -118,14 +142,16 @@ def reduce_to_size(
         return Reduced(scene, data, {}, (before, before) if before is not None else None)
     least = least_size(scene, target, encode)
     if judge is None:
-        order = most_useful_first(scene, importance_without_views(scene))
-        return Reduced(*fit_size(scene, order, target, encode, whole), {}, None)
+        order = np.argsort(-contribution(scene), kind="stable")
+        found = fit_coarsened(scene, BLIND, hidden_products(scene.mlps), order, target, encode)
+        return Reduced(*found, None)
     before = judge.psnr(scene)
     room = (target - least) / (whole - least) * float(anchor_bits(scene.anchors).sum())
     order, _ = rank(scene, judge, lambda cut: anchor_bits(cut.anchors).sum() < room)
-    factors = _best_factors(scene, order, room, judge)
-    found, data = fit_size(coarsen(scene, factors), order, target, encode, whole)
-    return Reduced(found, data, factors, (before, judge.psnr(found)))
+    products = judge.products(scene)
+    factors = _best_factors(scene, products, order, room, judge)
+    fitted = fit_coarsened(scene, factors, products, order, target, encode)
+    return Reduced(*fitted, (before, judge.psnr(fitted[0])))
 
 
 def reduce_to_psnr(
@@ -169,10 +195,12 @@ def rank(
     Also returned are two numbers of anchors, counted in this order: one that is too few (or 0), and
     one that is not.
     """
+    shown = contribution(scene)
     rows, dropped = np.arange(len(scene.anchors)), np.empty(0, np.intp)
     while True:
         left = take(scene, rows)
-        ranked = rows[most_useful_first(left, judge.importance(left))]
+        useful = judge.importance(left) ** MEASURED_SHARE * shown[rows] ** (1 - MEASURED_SHARE)
+        ranked = rows[np.argsort(-useful, kind="stable")]
         count = min(int(np.ceil(len(ranked) - ROUND * len(scene.anchors))), len(ranked) - 1)
         if count <= 0 or too_few(take(scene, ranked[:count])):
             return np.concatenate([ranked, dropped]), (max(count, 0), len(ranked))
@@ -180,29 +208,35 @@ def rank(
 
 
 def _best_factors(
-    scene: QuantizedScene, order: npt.NDArray[np.intp], room: float, judge: SceneJudge
+    scene: QuantizedScene,
+    products: npt.NDArray[np.float64],
+    order: npt.NDArray[np.intp],
+    room: float,
+    judge: SceneJudge,
 ) -> Factors:
     """Find what to multiply Q by for the best PSNR in about ``room`` bits of anchors.
 
-    Anchors are kept from the start of ``order`` on. One attribute becomes one STEP coarser at a
-    time, as long as that is a gain.
+    Anchors are kept from the start of ``order`` on. One attribute after the other becomes coarser,
+    or finer again, as long as that is a gain.
     """
 
     def reached(factors: Factors) -> float:
-        coarse = coarsen(scene, factors)
+        coarse = coarsen(scene, factors, products)
         cost = np.cumsum(anchor_bits(coarse.anchors)[order])
-        if factors and cost[-1] < SPARE * room:
-            return -np.inf
         return judge.psnr(take(coarse, order[: int(np.searchsorted(cost, room))]), COMPARED)
 
-    factors: Factors = {}
+    factors = dict.fromkeys(COARSER, 1.0)
     best = reached(factors)
-    while True:
-        trials = [{**factors, name: factors.get(name, 1.0) * STEP} for name in COARSER]
-        scores = [reached(trial) for trial in trials]
-        if not max(scores) > best:
-            return factors
-        best, factors = max(scores), trials[int(np.argmax(scores))]
+    for step, name in product(STEPS, COARSER):
+        for change in (step, 1 / step):
+            start = best
+            while (tried := factors | {name: min(1.0, factors[name] * change)}) != factors:
+                if not (score := reached(tried)) > best:
+                    break
+                best, factors = score, tried
+            if best > start:
+                break
+    return factors
 
 
 def spread(cameras: Sequence[Camera], count: int) -> list[int]:

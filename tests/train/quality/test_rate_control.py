@@ -24,6 +24,7 @@ from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene
 from clgs.train.quality.importance import (
     Sensitivity,
+    feature_products,
     importance_without_views,
     sensitivity,
 )
@@ -89,6 +90,34 @@ def test_importance_is_the_same_every_time(device, seen):
     first, second = (importance(device, scene, [view.camera]) for _ in range(2))
     np.testing.assert_array_equal(first, second)
     assert (first >= 0).all()
+
+
+def test_products_are_what_errors_of_features_cost(device, seen):
+    """All features of a random half of the anchors move by e, those of the others by -e."""
+    scene, view = seen
+    floats, e = scene.dequantize(), np.full(50, 0.05)
+    e[::3] *= -2.0
+    shared = device, upload_scene(device, floats), scene.settings
+    repeats = 24
+    products = feature_products(*shared, [view.camera] * repeats) / repeats
+    np.testing.assert_array_equal(products, products.T)
+    whole = Renderer(device, floats).render(view.camera)
+    rng, exact = np.random.default_rng(3), []
+    for _ in range(repeats):
+        signs = rng.choice([-1.0, 1.0], len(scene.anchors))
+        feature = (floats.anchors.feature + signs[:, None] * e).astype(np.float32)
+        moved = replace(floats, anchors=replace(floats.anchors, feature=feature))
+        exact.append(np.square(Renderer(device, moved).render(view.camera) - whole).sum())
+    assert 0.7 < e @ products @ e / np.mean(exact) < 1.4
+
+
+def test_without_views_coarser_integers_come_before_fewer_anchors(seen):
+    scene, _ = seen
+    target = int(0.97 * len(fast(scene)))
+    found = reduce_to_size(scene, target, fast, None)
+    assert len(found.scene.anchors) == len(scene.anchors)
+    assert max(found.factors.values()) < 1
+    assert 0.99 * target <= len(found.data) <= target
 
 
 @pytest.mark.slow
