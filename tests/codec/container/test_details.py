@@ -257,6 +257,6 @@ def test_all_of_a_file_is_compared_with_its_hash_also_if_it_is_read_in_parts(fil
     meta = bytearray(contents(file)["META"])
     meta[144] ^= 1
     other = BytesSource(rebuilt(file, META=bytes(meta)))
-    with pytest.raises(CodecError, match="META at byte .*: the decoded integers do not match"):
+    with pytest.raises(CodecError, match=r"META at byte .*: the decoded integers do not match"):
         decode_box(other, EVERYWHERE)
     assert len(decode_box(other, EVERYWHERE, layers=3).anchors) > 0
