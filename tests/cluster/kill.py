@@ -13,11 +13,24 @@ from contextlib import contextmanager
 
 
 @contextmanager
+def meanwhile(watch):
+    """Call ``watch`` in a thread, with an event that is set when the block ends."""
+    ended = threading.Event()
+    watcher = threading.Thread(target=watch, args=(ended,))
+    watcher.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        watcher.join()
+
+
+@contextmanager
 def killed_once(client, due):
     """Kill the worker that is busy as soon as ``due()`` is true; yields the list of the killed."""
-    processes, killed, ended = client.run(os.getpid), [], threading.Event()
+    processes, killed = client.run(os.getpid), []
 
-    def wait():
+    def wait(ended):
         while not ended.wait(0.02):
             if due():
                 busy = [address for address, keys in client.processing().items() if keys]
@@ -25,13 +38,8 @@ def killed_once(client, due):
                 killed.append(busy[0])
                 return
 
-    killer = threading.Thread(target=wait)
-    killer.start()
-    try:
+    with meanwhile(wait):
         yield killed
-    finally:
-        ended.set()
-        killer.join()
 
 
 @contextmanager
@@ -66,10 +74,10 @@ def killed_at_start():
     """Kill the next process that this one starts, as soon as it is there; yields the killed."""
     import psutil
 
-    own, killed, ended = psutil.Process(), [], threading.Event()
+    own, killed = psutil.Process(), []
     before = {child.pid for child in own.children(recursive=True)}
 
-    def wait():
+    def wait(ended):
         while not ended.wait(0.002):
             for child in own.children(recursive=True):
                 if child.pid not in before and "spawn_main" in " ".join(child.cmdline()):
@@ -77,10 +85,5 @@ def killed_at_start():
                     killed.append(child.pid)
                     return
 
-    killer = threading.Thread(target=wait)
-    killer.start()
-    try:
+    with meanwhile(wait):
         yield killed
-    finally:
-        ended.set()
-        killer.join()
