@@ -90,7 +90,7 @@ def _local_cluster(workers: int) -> LocalCluster:
     """Processes on this machine; they are started again if one is killed meanwhile."""
     from distributed import LocalCluster
 
-    for attempt in range(1, ATTEMPTS + 1):
+    for _ in range(ATTEMPTS):
         try:
             return LocalCluster(
                 n_workers=workers,
@@ -100,11 +100,8 @@ def _local_cluster(workers: int) -> LocalCluster:
                 silence_logs=QUIET,
             )
         except RuntimeError as error:
-            if attempt == ATTEMPTS:
-                raise ClgsError(
-                    f"workers do not start ({error}); free memory, or give fewer --workers"
-                ) from error
-    raise AssertionError
+            problem = error
+    raise ClgsError(f"workers do not start ({problem}); free memory, or give fewer --workers")
 
 
 def _check_address(scheduler: str) -> None:

@@ -233,7 +233,7 @@ def _decode_rows(
             stream, near_rows = streams[i][tag], near.of(i) if model.looks_near else None
             try:
                 decoded = model.decode(stream.data, len(chunks[i]), near_rows)
-                rows[tag][spans[i]] = times(decoded, step)
+                rows[tag][spans[i]] = decoded if step == 1 else times(decoded, step)
             except ValueError as error:
                 raise stream.error(f"chunk {chunks[i].number}: {error}") from error
 

@@ -20,7 +20,7 @@ ROWS = TAGS[1:]
 """The sections that have details, in the order of the columns."""
 
 STEP, MAX_STEP = 3, 255
-"""The step that is written, and the greatest. At 5, the rounded features show next to nothing."""
+"""The step that is written, and the greatest. At 5, all anchors of fox have 6 dB less than at 3."""
 
 MAX_VALUE = 1 << 30
 """Values are divided if all are below it, so that no product leaves int32."""
