@@ -117,6 +117,7 @@ class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         results[0] = packed_rows(call.rows, call.centres)
         results = [torch.from_numpy(one) for one in results]
         ctx.call, ctx.by_covariance = call, covars is not None
+        call.want_camera = ctx.needs_input_grad[7]
         given_too = means, quats, scales, covars, opacities, viewmats  # must not have changed
         ctx.save_for_backward(results[1], results[4], *given_too)
         ctx.mark_non_differentiable(results[4])
@@ -129,25 +130,25 @@ class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         """Gradients by the Gaussians and the cameras."""
         call, device = ctx.call, ctx.call.device
         assert ctx.saved_tensors  # PyTorch sees that none was changed
-        sizes = call.extents.shape[:3]
-        by_screen = [None if one is None else host_of(one) for one in d[:4]]
+        sizes, begun = call.extents.shape[:3], call.take_begun(d[:4])
+        by_screen = [None if one is None or begun else host_of(one) for one in d[:4]]
         if by_screen[0] is not None:
             by_screen[0] = unpacked_rows(call.rows, by_screen[0], sizes)
-        want_camera = ctx.needs_input_grad[7]
         sums: dict[str, list[npt.NDArray[Any]]] = {}
         d_viewmats = np.zeros(call.given.viewmats.shape, np.float32)
         for at, (batch, number) in enumerate(product(*map(range, sizes[:2]))):
-            splats, camera, seen = call.splats[batch], call.cameras[at], call.projected[at]
-            none = device.empty((len(splats), 0))
-            d_mean2d, d_whitening, d_depth, d_opacity = (
-                device.zeros((sizes[2], *width))
-                if one is None
-                else device.share(one[batch, number])
-                for one, width in zip(by_screen, ((2,), (3,), (), ()), strict=True)
-            )
-            given = ChannelGradients(d_mean2d, d_whitening, d_opacity, none, d_depth, None)
-            with device.stage("views backward"):
-                made = views.backward(device, splats, camera, call.lens, seen, given, want_camera)
+            if begun is None:
+                d_mean2d, d_whitening, d_depth, d_opacity = (
+                    device.zeros((sizes[2], *width))
+                    if one is None
+                    else device.share(one[batch, number])
+                    for one, width in zip(by_screen, ((2,), (3,), (), ()), strict=True)
+                )
+                none = device.empty((sizes[2], 0))
+                given = ChannelGradients(d_mean2d, d_whitening, d_opacity, none, d_depth, None)
+                made = call.backward(batch, at, given)
+            else:
+                made = begun
             if made.d_camera is not None:
                 rows = device.download(made.d_camera).sum(axis=2, dtype=np.float64)
                 d_viewmats[batch, number, :3] = rows
@@ -174,7 +175,7 @@ class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
             d_shape,
             d_covars,
             total.get("d_opacity"),
-            torch.from_numpy(d_viewmats) if want_camera else None,
+            torch.from_numpy(d_viewmats) if call.want_camera else None,
         )
 
 
@@ -245,7 +246,11 @@ class Blend(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         names = {"d_mean2d": 2, "d_whitening": 3, "d_opacity": None, "d_color": colors.shape[-1]}
         names |= {"d_depth": None} if call.with_depth else {}
         names |= {"d_absolute": 2} if call.absgrad else {}
-        made = gather_later(device, found, names, sizes)()
+        gather = gather_later(device, found, names, sizes)
+        begun = None
+        if call.seen and len(found) == 1 and ctx.needs_input_grad[1]:
+            begun = call.seen.backward(0, 0, found[0])  # while the host makes tensors
+        made = gather()
         centres = call.centres() if call.centres is not None else None
         if call.absgrad and centres is not None:
             absolute = packed_rows(rows, made["d_absolute"])
@@ -261,7 +266,9 @@ class Blend(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         d_centres = packed_rows(rows, made["d_mean2d"]).reshape(before.shape)
         by_depth = made.get("d_depth")
         by_screen = d_centres, made["d_whitening"], by_depth, made["d_opacity"], None, d_colors
-        tensors = (None if one is None else torch.from_numpy(one) for one in by_screen)
+        tensors = [None if one is None else torch.from_numpy(one) for one in by_screen]
+        if begun is not None:
+            call.seen.expect(begun, tensors[:4])
         return None, *tensors, d_backgrounds
 
 

@@ -15,6 +15,7 @@ from torch import Tensor
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops.general import views
+from clgs.ops.general.channels import ChannelGradients
 from clgs.ops.project import Projected
 from clgs.ops.tiles import TileLists
 from clgs.options import RenderOptions
@@ -32,7 +33,8 @@ class ViewsCall:
     packed: whether centres are those of what is drawn alone. The forward pass fills the rest, also
     for the backward pass: splats of each batch; cameras and projected Gaussians of each picture;
     extents (B, C, N, 2) pixels, 0 if culled; rows of what is drawn among all Gaussians of all
-    pictures; centres of all (B, C, N, 2).
+    pictures; centres of all (B, C, N, 2); whether cameras have gradients. The
+    backward pass of the blending begins that of the projection, as long as nobody needs another.
     """
 
     device: Device
@@ -47,6 +49,28 @@ class ViewsCall:
     extents: Floats = field(default_factory=lambda: np.empty(0, np.float32))
     rows: npt.NDArray[np.int64] | None = None
     centres: Floats = field(default_factory=lambda: np.empty(0, np.float32))
+    want_camera: bool = False
+    begun: views.SplatGradients | None = None
+    _passed: list[tuple[Tensor, int] | None] = field(default_factory=list)
+
+    def backward(self, batch: int, at: int, given: ChannelGradients) -> views.SplatGradients:
+        """Gradients by the Gaussians and the camera of a picture, from those by its screen."""
+        splats, camera, seen = self.splats[batch], self.cameras[at], self.projected[at]
+        with self.device.stage("views backward"):
+            return views.backward(
+                self.device, splats, camera, self.lens, seen, given, self.want_camera
+            )
+
+    def expect(self, begun: views.SplatGradients, tensors: list[Tensor | None]) -> None:
+        """Keep what was begun from ``tensors``, which autograd passes on unless others add."""
+        self.begun = begun  # alive: another tensor must not take the memory
+        self._passed = [None if one is None else (one, one._version) for one in tensors]
+
+    def take_begun(self, tensors: tuple[Tensor | None, ...]) -> views.SplatGradients | None:
+        """What was begun, if these are the tensors that it was begun from, unchanged."""
+        begun, self.begun, passed, self._passed = self.begun, None, self._passed, []
+        pairs = zip(tensors, passed or [None] * len(tensors), strict=True)
+        return begun if all(_unchanged(one, kept) for one, kept in pairs) else None
 
     @cached_property
     def radii(self) -> npt.NDArray[np.int32]:
@@ -158,6 +182,14 @@ def gather_later(
         return result
 
     return wait
+
+
+def _unchanged(tensor: Tensor | None, kept: tuple[Tensor, int] | None) -> bool:
+    """Whether ``tensor`` is the one kept, and was not changed in place since its version was."""
+    if tensor is None or kept is None:
+        return tensor is kept
+    same: bool = tensor.data_ptr() == kept[0].data_ptr() and tensor._version == kept[1]
+    return same
 
 
 def packed_rows(rows: npt.NDArray[np.int64] | None, every: Floats) -> Floats:

@@ -8,6 +8,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install clgs[torch]")
 
 import clgs.torch as ours  # noqa: E402
+from clgs.torch.tensors import ViewsCall  # noqa: E402
 from tests.render.splat_scene import scene  # noqa: E402
 
 TRAINED = ("means", "quats", "scales", "opacities", "colors", "viewmats", "backgrounds")
@@ -246,3 +247,42 @@ def test_lists_and_pixels_that_are_refused():
     ):
         with pytest.raises(error, match=f"{name}: {match}"):
             ours.rasterize_to_pixels(**{**given, name: value})
+
+
+LOSSES = {
+    "image": lambda given, image, meta: image.square().sum(),
+    "and depths": lambda given, image, meta: image.square().sum() + meta["depths"].sum(),
+    "and means": lambda given, image, meta: image.square().sum() + given["means"].sum(),
+}
+HOOKS = {"none": None, "new": lambda d: 2 * d, "in place": lambda d: d.mul_(2)}
+
+
+@pytest.mark.parametrize("hook", HOOKS)
+@pytest.mark.parametrize("loss", LOSSES)
+@pytest.mark.parametrize("packed", [False, True])
+def test_backward_pass_that_was_begun_is_used_only_if_it_is_asked_for(
+    rng, monkeypatch, hook, loss, packed
+):
+    given = leaves(rng, cameras=1)
+    taken, usual = [], ViewsCall.take_begun
+
+    def found(allowed):
+        def take(call, passed):
+            taken.append(usual(call, passed))
+            return taken[-1] if allowed else None
+
+        monkeypatch.setattr(ViewsCall, "take_begun", take)
+        image, _, meta = ours.rasterization(**given, packed=packed)
+        if HOOKS[hook]:
+            meta["means2d"].register_hook(HOOKS[hook])
+        whole = LOSSES[loss](given, image, meta)
+        twice = [
+            torch.autograd.grad(whole, [given[name] for name in TRAINED], retain_graph=True)
+            for _ in range(2)
+        ]
+        assert all(torch.equal(*pair) for pair in zip(*twice, strict=True))
+        return twice[0]
+
+    assert all(torch.equal(*pair) for pair in zip(found(True), found(False), strict=True))
+    used = hook == "none" and loss != "and depths"
+    assert [one is not None for one in taken] == [used] * 4
