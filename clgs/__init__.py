@@ -37,7 +37,7 @@ _HOMES = {
     "decode": "clgs.codec.scene_decoder",
     "decode_anchors": "clgs.render.decoded_anchors",
     "encode": "clgs.codec.scene_encoder",
-    "evaluate_views": "clgs.train.quality.score_views",
+    "evaluate_views": "clgs.train.quality.scores",
     "export": "clgs.workflow.export",
     "load_dataset": "clgs.data.dataset",
     "load_scene": "clgs.scene.storage",

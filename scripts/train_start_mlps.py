@@ -28,9 +28,8 @@ from clgs.files import atomic_path
 from clgs.scene.mlps import Mlps, unpack_head
 from clgs.scene.scene import QuantizedScene
 from clgs.train.config import preset
-from clgs.train.run.load import load_for
+from clgs.train.run.load import RANDOM, load_for
 from clgs.train.run.session import train_scene
-from clgs.train.run.start import RANDOM
 
 LIVE = 40
 """Features that networks for objects read (docs/benchmarks/sizes.md)."""

@@ -21,7 +21,7 @@ from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.gaussians import HostGaussians
 from clgs.scene.scene import Scene, SplatScene
-from clgs.train.quality.metrics import psnr_8bit, to_8bit
+from clgs.train.quality.scores import psnr_8bit, to_8bit
 
 FIT_VIEWS = 64
 """Most views that the fit looks at, evenly chosen; refinement sees all."""

@@ -23,7 +23,7 @@ from clgs.scene.camera import Camera
 from clgs.scene.gaussians import HostGaussians
 from clgs.scene.scene import QuantizedScene, Scene, SplatScene
 from clgs.train.quality.importance import importance_without_views, sensitivity
-from clgs.train.quality.metrics import to_8bit
+from clgs.train.quality.scores import to_8bit
 
 VIEWS, SIDE = 24, 400
 """This many cameras, with pictures whose sides have this many pixels, show what matters most."""

@@ -18,8 +18,8 @@ from clgs.render.frame import upload_scene
 from clgs.render.renderer import Renderer
 from clgs.scene.region import Box, Sphere
 from clgs.scene.scene import QuantizedScene
-from clgs.train.quality.score_views import mean_psnr
-from clgs.train.quality.visibility import visibility
+from clgs.train.quality.importance import visibility
+from clgs.train.quality.scores import mean_psnr
 from clgs.workflow.events import OnEvent, counter, ignore
 from clgs.workflow.options import ViewOptions
 from clgs.workflow.views import data_of, drawing_options, load_views

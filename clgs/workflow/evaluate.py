@@ -8,7 +8,7 @@ from typing import Any
 
 from clgs.opencl.device import Device
 from clgs.scene.scene import QuantizedScene, SplatScene
-from clgs.train.quality.score_views import (
+from clgs.train.quality.scores import (
     Measure,
     ViewScore,
     count_drawn,

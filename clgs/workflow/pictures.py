@@ -20,7 +20,7 @@ from clgs.opencl.device import Device
 from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.scene import SceneTransform, drawable
-from clgs.train.quality.metrics import to_8bit
+from clgs.train.quality.scores import to_8bit
 from clgs.workflow.camera_paths import check_clip, make_path
 from clgs.workflow.events import OnEvent, ignore, track
 from clgs.workflow.options import PathOptions, ViewOptions

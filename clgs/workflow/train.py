@@ -14,9 +14,8 @@ from clgs.exports.run_report import REPORT, write_run_report
 from clgs.files import check_folder, write_json
 from clgs.memory import return_freed_memory
 from clgs.opencl.device import Device
-from clgs.opencl.together import open_devices
 from clgs.train.config import TrainConfig
-from clgs.train.run.load import load_for
+from clgs.train.run.load import load_for, state_of_run
 from clgs.train.run.run_folder import (
     RunResult,
     check_run_folder,
@@ -26,7 +25,7 @@ from clgs.train.run.run_folder import (
 )
 from clgs.train.run.savings import Saving, savings
 from clgs.train.run.session import Progress, Session
-from clgs.train.run.start import state_of_run
+from clgs.train.step.batch import open_devices
 from clgs.workflow.events import Note, OnEvent, TrainingProgress, ignore
 from clgs.workflow.outputs import check_apart
 from clgs.workflow.views import scene_name

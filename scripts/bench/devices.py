@@ -31,11 +31,10 @@ from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.scene.scene import Scene
 from clgs.train.config import TrainConfig, preset
-from clgs.train.run.start import state_of_scene
+from clgs.train.run.load import state_of_scene
 from clgs.train.run.trainer import Trainer
-from clgs.train.state.parameters import ANCHOR_GROUPS
-from clgs.train.step.batch import Batch
-from clgs.train.step.others import hand_out
+from clgs.train.state.run_state import ANCHOR_GROUPS
+from clgs.train.step.batch import Batch, hand_out
 
 
 def trainer(dataset: Dataset, config: TrainConfig, scene: Scene, *devices: Device) -> Trainer:

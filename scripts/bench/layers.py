@@ -15,7 +15,7 @@ from clgs.codec.scene_encoder import encode
 from clgs.opencl.device import Device
 from clgs.render.renderer import Renderer
 from clgs.scene.scene import QuantizedScene
-from clgs.train.quality.score_views import mean_psnr
+from clgs.train.quality.scores import mean_psnr
 from clgs.workflow.encode import encode_within, importance_in_views
 from clgs.workflow.options import ViewOptions
 from clgs.workflow.views import drawing_options, select_views

@@ -19,7 +19,7 @@ from PIL import Image
 
 import clgs
 from clgs.data.dataset import Dataset
-from clgs.train.quality.score_views import mean_psnr
+from clgs.train.quality.scores import mean_psnr
 from clgs.train.run.load import with_points
 
 OPENGL = np.array([1, -1, -1, 1])

@@ -14,7 +14,7 @@ from clgs.codec.scene_decoder import decode
 from clgs.opencl.device import Device
 from clgs.render.renderer import Renderer
 from clgs.scene.photo_range import UNKNOWN
-from clgs.train.quality.score_views import mean_psnr
+from clgs.train.quality.scores import mean_psnr
 from clgs.workflow.options import ViewOptions
 from clgs.workflow.views import drawing_options, select_views
 

@@ -25,7 +25,7 @@ from clgs.exports.page import scene_page
 from clgs.render.renderer import render_view
 from clgs.scene.camera import Camera
 from clgs.train.config import from_toml
-from clgs.train.quality.metrics import to_8bit
+from clgs.train.quality.scores import to_8bit
 from clgs.workflow.scenes import read_run
 from tests.web.browser import Browser, find_browser
 

@@ -17,8 +17,7 @@ from clgs.data.origin import repose
 from clgs.lab.bench.step import STILL, render_times, stream_times
 from clgs.opencl.device import Device
 from clgs.train.config import from_toml
-from clgs.train.run.load import load_for
-from clgs.train.run.start import state_of_scene
+from clgs.train.run.load import load_for, state_of_scene
 from clgs.train.run.trainer import Trainer
 from clgs.workflow.scenes import read_run
 

@@ -56,8 +56,13 @@ EQUIVALENT: dict[str, str] = {}
 def suite(stage: str) -> list[str]:
     """The tests of a stage."""
     stress = [f"tests/stress/test_{theme}.py" for theme in STRESS.get(stage, ())]
-    density = ["tests/train/density"] if stage == "growth" else []
+    density = (
+        ["tests/train/step/test_grow.py", "tests/train/step/test_prune.py"]
+        if stage == "growth"
+        else []
+    )
     room, _, name = STAGES[stage].rpartition("/")
+    density = [f"tests/train/step/test_{name}.py" for name in names]
     return [f"tests/ops/{room}/test_{name}.py", *stress, *density]
 
 

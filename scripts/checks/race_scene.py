@@ -29,10 +29,10 @@ from clgs.render.frame import upload_view
 from clgs.render.rasterise import rasterise, rasterise_backward
 from clgs.scene.camera import Camera
 from clgs.train.config import TrainConfig
-from clgs.train.run.start import state_of_scene
+from clgs.train.run.load import state_of_scene
 from clgs.train.run.trainer import Trainer
-from clgs.train.state.parameters import ANCHOR_GROUPS
 from clgs.train.state.rounding import rounded_anchors
+from clgs.train.state.run_state import ANCHOR_GROUPS
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from tests.gaussians import projected_scene

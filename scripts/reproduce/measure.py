@@ -15,7 +15,7 @@ from clgs.data.dataset import Dataset
 from clgs.lab.facts import machine_facts
 from clgs.opencl.device import Device
 from clgs.options import RenderOptions
-from clgs.train.quality.score_views import evaluate_views, summarize
+from clgs.train.quality.scores import evaluate_views, summarize
 from clgs.train.state.hashes import scene_hash
 
 Result = TypeVar("Result")

@@ -25,7 +25,7 @@ from clgs.options import DEFAULT
 from clgs.render.frame import upload_scene, upload_view
 from clgs.render.renderer import Renderer
 from clgs.scene.scene import SceneTransform, SplatScene
-from clgs.train.quality.metrics import to_8bit
+from clgs.train.quality.scores import to_8bit
 from tests.exports.splats.cases import gaussians
 
 SIZE = 64

@@ -14,7 +14,7 @@ from clgs.render.frame import upload_view
 from clgs.render.rasterise import rasterise, rasterise_backward
 from clgs.render.renderer import Renderer
 from clgs.scene.scene import RenderSettings, SplatScene
-from clgs.train.quality.metrics import to_8bit
+from clgs.train.quality.scores import to_8bit
 from tests.compare import relative_l2
 from tests.ops.cases.project import camera_at
 from tests.ops.cases.splats import stored, widen

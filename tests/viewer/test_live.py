@@ -14,7 +14,7 @@ from clgs.data.view import View
 from clgs.lab.anchor_scene import anchor_scene
 from clgs.render.renderer import Renderer
 from clgs.scene.scene import RenderSettings, SplatScene
-from clgs.train.quality.metrics import to_8bit
+from clgs.train.quality.scores import to_8bit
 from clgs.viewer.live import (
     MOVING_LEAST,
     Eye,

@@ -24,7 +24,7 @@ from clgs.lab.anchor_scene import square_camera
 from clgs.render.renderer import render_view
 from clgs.scene.photo_range import PhotoRange
 from clgs.scene.scene import IDENTITY
-from clgs.train.quality.metrics import to_8bit
+from clgs.train.quality.scores import to_8bit
 from tests.data.splats.test_gaussians import columns_of
 from tests.ops.cases.project import camera_at
 from tests.ops.cases.splats import stored

@@ -97,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
     from clgs.opencl.device import Device
     from clgs.scene.scene import SplatScene
     from clgs.train.quality.lpips import Lpips, read_lpips_weights
-    from clgs.train.quality.score_tables import append_survey, write_inria
+    from clgs.train.quality.scores import append_survey, write_inria
     from clgs.train.state.hashes import differences, read_fingerprint
     from clgs.workflow.evaluate import evaluate
     from clgs.workflow.scenes import read_drawable
@@ -191,7 +191,7 @@ def _check_outputs(
     """Refuse outputs that have a wrong name, are read, or belong to the data set or another run."""
     from clgs.errors import UsageError
     from clgs.files import check_folder, check_output
-    from clgs.train.quality.score_tables import FILES, check_survey
+    from clgs.train.quality.scores import FILES, check_survey
 
     for path, suffix, what in ((file, ".json", "scores are"), (csv, ".csv", "table is")):
         if path and path.suffix.lower() != suffix:
@@ -215,7 +215,7 @@ def _check_outputs(
 
 def _check_free(file: Path | None, inria: Path | None, overwrite: bool) -> None:
     """Raise ExistsError if scores would replace a file; a row of --csv replaces nothing."""
-    from clgs.train.quality.score_tables import FILES
+    from clgs.train.quality.scores import FILES
     from clgs.workflow.outputs import check_new
 
     tables = [inria / name for name in FILES] if inria else []

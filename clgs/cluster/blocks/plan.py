@@ -26,7 +26,7 @@ from clgs.render.frame import upload_scene
 from clgs.scene.anchors import take
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import save_scene
-from clgs.train.quality.visibility import LEAST_WEIGHT, view_weights
+from clgs.train.quality.importance import LEAST_WEIGHT, view_weights
 from clgs.train.run.run_folder import PLAN
 
 START = "start.npz"

@@ -19,10 +19,9 @@ from clgs.opencl.device import Device
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import load_scene
 from clgs.train.config import TrainConfig, from_toml
-from clgs.train.run.load import load_for
+from clgs.train.run.load import load_for, state_of_scene
 from clgs.train.run.run_folder import finished_run
 from clgs.train.run.session import Progress, Session
-from clgs.train.run.start import state_of_scene
 from clgs.train.state.run_state import RunState
 
 FIGURES = ("psnr", "split", "anchors", "train_seconds", "peak_memory_bytes")

@@ -17,7 +17,7 @@ from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.scene import Scene
 from clgs.train.config import LearningRates, TrainConfig
-from clgs.train.run.start import state_of_scene
+from clgs.train.run.load import state_of_scene
 from clgs.train.run.trainer import Trainer
 from clgs.workflow.outputs import check_new
 

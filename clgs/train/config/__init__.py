@@ -1,7 +1,7 @@
 """The settings of training: declared once, read from files and command lines, described."""
 
-from clgs.train.config.learning_rates import LearningRates
 from clgs.train.config.option import MAX_WEIGHT, options_of
+from clgs.train.config.run_settings import LearningRates
 from clgs.train.config.settings import TrainConfig
 from clgs.train.config.sources import from_toml, layered, parse_word, preset, read_settings
 

@@ -20,14 +20,14 @@ from clgs.arguments import check_type
 from clgs.data.reduction import OBJECT
 from clgs.errors import UsageError
 from clgs.options import RenderOptions, render_options
-from clgs.train.config.box import parse_box
-from clgs.train.config.learning_rates import LearningRates
+from clgs.quantities import number
 from clgs.train.config.option import WEIGHT, at_least, option, options_of
 from clgs.train.config.run_settings import (
     FULL_STEPS,
     LEAST_ANCHORS,
     OBJECTS,
     TRAINED,
+    LearningRates,
     PhotoSettings,
     RunSettings,
 )
@@ -43,6 +43,27 @@ from clgs.train.config.size_settings import (
 
 if TYPE_CHECKING:
     from clgs.scene.region import Box
+
+REMEDY = "give six numbers x0,y0,z0,x1,y1,z1, such as -1,-1,-1,1,1,1; inf is a side without end"
+
+
+def parse_box(text: str) -> Box:
+    """The box that the setting ``box`` describes, in scene units.
+
+    Raises:
+        UsageError: not six numbers, or a side without length.
+    """
+    from clgs.scene.region import Box  # imports NumPy, which help does not need
+
+    sides = [number(word) for word in text.split(",")]
+    if len(sides) != 6 or None in sides:
+        raise UsageError(f"box: {text[:60]!r} is no box; {REMEDY}")
+    x0, y0, z0, x1, y1, z1 = (float(side) for side in sides if side is not None)
+    try:
+        return Box((x0, y0, z0), (x1, y1, z1))
+    except UsageError as error:
+        raise UsageError(f"{error}; {REMEDY}") from None
+
 
 BLENDER = "blender"
 """The kind of data set that takes the settings for synthetic scenes; all others are photos."""

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from clgs.errors import DataError, UsageError
-from clgs.train.config.learning_rates import LearningRates
 from clgs.train.config.option import Option, options_of
+from clgs.train.config.run_settings import LearningRates
 from clgs.train.config.settings import PAPER_Q, TrainConfig
 
 MAX_BYTES = 1 << 20

@@ -33,7 +33,7 @@ from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene
 from clgs.train.quality.importance import feature_products, sensitivity
-from clgs.train.quality.score_views import mean_psnr
+from clgs.train.quality.scores import mean_psnr
 
 Encode = Callable[[QuantizedScene], bytes]
 

@@ -38,18 +38,20 @@ from clgs.train.config.settings import default_lambda
 from clgs.train.config.size_settings import ANCHOR_BITS
 from clgs.train.quality.importance import Sensitivity
 from clgs.train.quality.rate_control import spread
-from clgs.train.rate.judgement import Judgement, compare, judge, look
 from clgs.train.rate.pricing import (
     MOST,
+    Judgement,
     PricedAnchors,
     Situation,
+    compare,
+    judge,
+    look,
     priced,
     priced_for_size,
     priced_within_loss,
 )
-from clgs.train.state.parameters import ANCHOR_GROUPS
 from clgs.train.state.rounding import Rounding
-from clgs.train.state.run_state import RunState, render_settings
+from clgs.train.state.run_state import ANCHOR_GROUPS, RunState, render_settings
 
 ROUNDS = 10
 

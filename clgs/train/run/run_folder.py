@@ -17,9 +17,8 @@ from clgs.errors import DataError, ExistsError, UsageError
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import load_scene
 from clgs.train.config import TrainConfig, from_toml
-from clgs.train.state.checkpoint import checkpoints
+from clgs.train.state.checkpoint import SETTINGS, changed_settings, checkpoints
 from clgs.train.state.hashes import read_fingerprint, run_digest, scene_hash
-from clgs.train.state.resume import SETTINGS, changed_settings
 
 RESULTS = "results.json"
 """The last file of a run: a folder that has it is finished."""

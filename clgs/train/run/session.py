@@ -19,18 +19,16 @@ from clgs.exports.image import PictureFolder
 from clgs.files import atomic_write, make_folder, write_json
 from clgs.memory import peak_memory
 from clgs.opencl.device import Device
-from clgs.opencl.together import check_together
 from clgs.render.renderer import Renderer
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import save_scene
 from clgs.signals import interruptions
 from clgs.train.config import TrainConfig
 from clgs.train.quality.rate_control import MAX_VIEWS, SceneJudge, reduce_to_size, spread
-from clgs.train.quality.score_views import evaluate_views, mean_psnr, summarize
+from clgs.train.quality.scores import evaluate_views, mean_psnr, summarize
 from clgs.train.rate.rate_term import estimated_bytes
-from clgs.train.run.full_disk import Keeper
-from clgs.train.run.load import with_points
-from clgs.train.run.progress_log import ProgressLog
+from clgs.train.run.load import state_of_run, with_points
+from clgs.train.run.progress import Keeper, ProgressLog
 from clgs.train.run.run_folder import (
     RESULTS,
     FolderLock,
@@ -41,11 +39,11 @@ from clgs.train.run.run_folder import (
     remove_run,
     settings_for,
 )
-from clgs.train.run.start import state_of_run
 from clgs.train.run.trainer import StepResult, Trainer
 from clgs.train.state.checkpoint import checkpoints
 from clgs.train.state.hashes import fingerprint, run_digest
 from clgs.train.state.run_state import RunState
+from clgs.train.step.batch import check_together
 
 HASHED_VIEWS = 3
 TRAINING_VIEWS = 16

@@ -23,21 +23,20 @@ from clgs.scene.mlps import Mlps
 from clgs.scene.scene import QuantizedScene
 from clgs.train.config import TrainConfig
 from clgs.train.config.settings import BACKGROUNDS
-from clgs.train.density.grow_and_prune import (
+from clgs.train.quality.scores import mean_psnr
+from clgs.train.rate.economy import Economy, Round
+from clgs.train.run.load import first_state
+from clgs.train.state.checkpoint import changed_settings, load_state, save_state
+from clgs.train.state.hashes import run_digest
+from clgs.train.state.rounding import Rounding
+from clgs.train.state.run_state import Means, Parameters, RunState, render_settings
+from clgs.train.step import optimizer
+from clgs.train.step.grow_and_prune import (
     compacted,
     merge_cells,
     replace_anchors,
     replaces_anchors,
 )
-from clgs.train.quality.score_views import mean_psnr
-from clgs.train.rate.economy import Economy, Round
-from clgs.train.run.start import first_state
-from clgs.train.state.hashes import run_digest
-from clgs.train.state.parameters import Parameters
-from clgs.train.state.resume import changed_settings, load_state, save_state
-from clgs.train.state.rounding import Rounding
-from clgs.train.state.run_state import Means, RunState, render_settings
-from clgs.train.step import averages
 from clgs.train.step.look import ViewInput
 from clgs.train.step.queue import Enqueued, StepInput, StepQueue
 
@@ -92,7 +91,7 @@ class Trainer:
             ahead: whether :meth:`steps` enqueues a step while the one before is under way; the
                 results have the same bits either way.
             state: of a run on this data set, or of a trained scene, see
-                :func:`clgs.train.run.start.state_of_scene`.
+                :func:`clgs.train.run.load.state_of_scene`.
             others: further devices, of the kind of ``device``, that look at views of a batch. The
                 results have the same bits with any of them or none.
 
@@ -144,7 +143,7 @@ class Trainer:
         """Continue from the newest usable checkpoint in ``folder``.
 
         Raises:
-            DataError: as :func:`clgs.train.state.resume.load_state`.
+            DataError: as :func:`clgs.train.state.checkpoint.load_state`.
         """
         changed = changed_settings(folder.parent, self.config)
         digest = run_digest(self.dataset, self.config)
@@ -195,7 +194,7 @@ class Trainer:
         if step == config.switch_step + 1:
             self.align_positions()
         if step - 1 == config.freeze_step:
-            averages.take(state, step - 1)
+            optimizer.take(state, step - 1)
         if step - 1 in self.economy.steps:
             try:
                 self.rounds.append(self.economy.round(state, step - 1))
@@ -230,7 +229,7 @@ class Trainer:
             self.queue.room = EXACT_ROOM.grown(settled.needed())
         state.step, value = settled.given.step, settled.loss()
         if state.step == self.config.steps:
-            averages.take(state, state.step)
+            optimizer.take(state, state.step)
         return StepResult(
             state.step,
             self._names(settled.given),

@@ -19,8 +19,7 @@ from clgs.render.frame import DeviceScene
 from clgs.scene.anchors import DeviceAnchors, QuantizationScales
 from clgs.scene.mlps import MLP_SIZE, head_shapes, unpack_head
 from clgs.train.config import TrainConfig
-from clgs.train.state.parameters import ANCHOR_GROUPS
-from clgs.train.state.run_state import RunState
+from clgs.train.state.run_state import ANCHOR_GROUPS, RunState
 
 BINARY_PLACES = {"opacity": (9, 10), "color": (8, 9), "covariance": (7, 7)}
 """Places of each head's hidden and output layer: its numbers are multiples of 2^-places."""

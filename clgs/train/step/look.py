@@ -1,22 +1,170 @@
-"""One view on one device: the picture, the loss, and the gradients of what was drawn."""
+"""One view on one device: the photo, the picture, the loss, and the gradients of what was drawn.
+
+The exposure of every training photo is learned together with the scene and not stored with it.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
+import numpy as np
+
 from clgs.data.dataset import Dataset
-from clgs.data.stored_photo import Color
+from clgs.data.images import Pixels
+from clgs.data.stored_photo import Color, Planes, composite
+from clgs.data.view import View
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.opencl.transfer import Download
 from clgs.ops import adam, density, exposure, loss, mask
-from clgs.render.frame import DeviceScene, Frame, Room, SceneGradients
+from clgs.render.frame import DeviceScene, DeviceView, Frame, Room, SceneGradients
 from clgs.render.rasterise import check_room, rasterise, rasterise_backward
 from clgs.train.config import TrainConfig
-from clgs.train.density.grow_and_prune import observes, seen_view
-from clgs.train.step.exposures import ExposureTerm
-from clgs.train.step.photos import TrainingPhoto, TrainingPhotos
-from clgs.train.step.schedule import reduction
+from clgs.train.config.settings import BACKGROUNDS
+from clgs.train.state.run_state import ExposureMaps
+from clgs.train.step import numpy_adam
+from clgs.train.step.grow_and_prune import observes, seen_view
+from clgs.train.step.schedule import learning_rates, reduction
+
+START = 0.2
+"""The maps learn after this share of the steps: a blurred scene fits dull photos best."""
+
+
+class ExposureTerm:
+    """Exposes renders by the maps of their photos, and lets the maps learn."""
+
+    def __init__(self, device: Device, config: TrainConfig, photos: int) -> None:
+        """Learn the exposures of ``photos`` training photos."""
+        self._device, self._config = device, config
+        self._adam = numpy_adam if config.optimizer == "numpy" else adam
+        self.gradient = device.zeros((photos, 3, 4))
+        """Gradient by the maps, in the rows of the photos that :meth:`backward` was called for."""
+        # From the beginning of an epoch on, so that every photo was learned from equally often.
+        views = config.steps * config.batch
+        self._start = math.ceil(START * views / photos) * photos
+
+    def learn_at(self, step: int, place: int = 0) -> bool:
+        """Whether view ``place`` (from 0) of step number ``step`` (from 1) uses its map.
+
+        Before, maps are identities.
+        """
+        return self._view(step, place) > self._start
+
+    def _view(self, step: int, place: int) -> int:
+        """The number of a view, from 1, of all that are looked at."""
+        return (step - 1) * self._config.batch + place + 1
+
+    def backward(
+        self,
+        maps: DeviceArray,
+        image: DeviceArray,
+        d_picture: DeviceArray,
+        photo: int,
+        stop: DeviceArray,
+    ) -> DeviceArray:
+        """The gradient by the render (3, H, W); ``stop`` is set if the map's is not finite."""
+        weight = self._config.exposure_weight
+        arrays = image, d_picture, maps
+        d_image = exposure.backward(self._device, *arrays, photo, weight, self.gradient)
+        adam.check_finite(self._device, [self.gradient], stop)
+        return d_image
+
+    def learn(
+        self, exposures: ExposureMaps, photos: Sequence[int], step: int, stop: DeviceArray
+    ) -> None:
+        """Update the maps of the photos that step number ``step`` looked at, if they learn then."""
+        maps, updates = exposures.maps, []
+        rate = learning_rates(self._config, step, 1.0)["exposure"]
+        trained = adam.Trained(maps, self.gradient, exposures.moments)
+        for place, photo in enumerate(photos):
+            if self.learn_at(step, place):
+                seen = self._view(step, place) - self._start
+                count = (seen - 1) // len(maps) + 1  # each is seen once in an epoch
+                part = slice(exposure.MAP_SIZE * photo, exposure.MAP_SIZE * (photo + 1))
+                updates.append(adam.Update(trained, adam.factors(rate, count), part))
+        if updates:
+            self._adam.step(self._device, updates, stop)
+            exposure.centre(self._device, maps, stop)
+
+
+@dataclass(frozen=True)
+class TrainingPhoto:
+    """What one step trains on: the camera with its background, and the photo.
+
+    photo (3, H, W) uint8, composited on the background, zero where it is masked; used (H, W) uint8
+    of 0 and 1, None if nothing is masked.
+    """
+
+    view: DeviceView
+    photo: DeviceArray
+    used: DeviceArray | None
+
+
+class TrainingPhotos:
+    """Reduces and composites photos, if asked ahead of their steps; uploads each for its step."""
+
+    def __init__(self, device: Device, views: list[View], background: str, near: float) -> None:
+        """``background`` is "black", "white" or "random"; ``near`` of the cameras."""
+        self._device, self._near = device, near
+        self._views = views
+        self._fixed = BACKGROUNDS.get(background)
+        self._cameras: dict[tuple[int, int], DeviceArray] = {}
+        self._background: tuple[Color, DeviceArray] | None = None
+        self._worker = ThreadPoolExecutor(1, "photos")
+        self._coming: dict[tuple[int, int], Future[Pixels | Planes]] = {}
+
+    def color(self, rng: np.random.Generator) -> Color:
+        """The background of the next step: the fixed one, or a new random one."""
+        if self._fixed is not None:
+            return self._fixed
+        red, green, blue = (float(np.float32(value)) for value in rng.random(3))
+        return red, green, blue
+
+    def prepare(self, indices: Iterable[int], factor: int) -> None:
+        """Let a thread read what :meth:`get` will be asked for next; forget other photos."""
+        wanted = {(index, factor) for index in indices}
+        for key in set(self._coming) - wanted:
+            self._coming.pop(key).cancel()
+        for index, _ in sorted(wanted - set(self._coming)):
+            if not self._views[index].photo.has(self._fixed, factor):
+                self._coming[index, factor] = self._worker.submit(self._read, index, factor)
+
+    def get(self, index: int, background: Color, factor: int = 1) -> TrainingPhoto:
+        """View ``index`` reduced ``factor`` times, composited on ``background``.
+
+        Cameras stay on the device from their first use on.
+
+        Raises:
+            DataError: the photo can no longer be read.
+        """
+        camera, photo = self._views[index].camera.reduced(factor), self._views[index].photo
+        if (index, factor) not in self._cameras:
+            self._cameras[index, factor] = self._device.upload(camera.pack(self._near))
+        if self._background is None or self._background[0] != background:
+            self._background = background, self._device.upload(np.array(background, np.float32))
+        packed, size = self._cameras[index, factor], (camera.width, camera.height)
+        seen = DeviceView(packed, size, self._background[1])
+        if self._fixed not in (None, background):
+            planes = photo.planes(background, factor)
+        else:
+            coming = self._coming.pop((index, factor), None)
+            found = self._read(index, factor) if coming is None else coming.result()
+            planes = composite(found, background) if isinstance(found, Pixels) else found
+        used = self._views[index].used(factor)
+        if used is None:
+            return TrainingPhoto(seen, self._device.upload_constant(planes), None)
+        masked, mask = map(self._device.upload_constant, (planes * used, used))
+        return TrainingPhoto(seen, masked, mask)
+
+    def _read(self, index: int, factor: int) -> Pixels | Planes:
+        """A photo as far as it can be made without knowing a random background."""
+        photo = self._views[index].photo
+        if self._fixed is None:
+            return photo.reduced(factor)
+        return photo.planes(self._fixed, factor, final=True)
 
 
 @dataclass(frozen=True)

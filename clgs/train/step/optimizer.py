@@ -1,8 +1,15 @@
-"""Adam over all trained tensors with the method's learning-rate schedule."""
+"""Adam over all trained tensors with the method's learning-rate schedule, and means at the end.
+
+Each step follows one photo, and Adam keeps moving at the pace of the learning rate: the mean of the
+last steps lies nearer to what all photos ask for (Polyak and Juditsky 1992). The steps that count
+are those since the anchors and their integers were last chosen; in the steps after ``freeze_step``
+only the MLPs move, and they have a mean of their own.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,7 +20,7 @@ from clgs.ops import adam
 from clgs.render.frame import SceneGradients
 from clgs.scene.mlps import head_slice
 from clgs.train.config import TrainConfig
-from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters
+from clgs.train.state.run_state import ANCHOR_GROUPS, Means, Parameters, RunState
 from clgs.train.step import numpy_adam
 from clgs.train.step.schedule import learning_rates
 
@@ -82,3 +89,31 @@ class Optimizer:
             inside = self._box.holds(self._device.download(position))
             self._inside = position, self._device.upload(inside.astype(np.int32))
         return self._inside[1]
+
+
+def extend(
+    device: Device, config: TrainConfig, state: RunState, step: int, stop: DeviceArray
+) -> None:
+    """Count the parameters after step number ``step``, unless it is too early.
+
+    ``stop`` (1,) int32: unless it holds 0 nothing changes, and the step comes again.
+    """
+    begin = max(state.means.begin, config.switch_step, config.prune_end)
+    if not config.average or step <= begin:
+        return
+    tensors, means = dict(state.parameters.scene.items()), state.means.tensors
+    names = (*ANCHOR_GROUPS, "weights") if step <= config.freeze_step else ("weights",)
+    for name in names:
+        if name not in means:
+            means[name] = device.zeros(tensors[name].shape)
+        adam.average(device, means[name], tensors[name], step - begin, stop)
+
+
+def take(state: RunState, step: int) -> None:
+    """Give the parameters their means after step number ``step``, if there are any."""
+    if found := state.means.tensors:
+        scene = state.parameters.scene
+        own = {name: found[name] for name in ANCHOR_GROUPS if name in found}
+        scene = replace(scene, anchors=replace(scene.anchors, **own), weights=found["weights"])
+        state.parameters = replace(state.parameters, scene=scene)
+    state.means = Means(step)

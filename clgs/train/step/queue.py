@@ -16,15 +16,14 @@ from clgs.ops import density, exposure, loss, scan
 from clgs.render.frame import EXACT_ROOM, DeviceScene, Frame, Room
 from clgs.render.rasterise import rasterise
 from clgs.train.config import TrainConfig
-from clgs.train.density.grow_and_prune import replaces_anchors
 from clgs.train.rate.rate_term import RateTerm
 from clgs.train.state.rounding import Rounding
 from clgs.train.state.run_state import ExposureMaps, RunState
-from clgs.train.step import averages
-from clgs.train.step.batch import Batch
+from clgs.train.step import optimizer
+from clgs.train.step.batch import Batch, OtherDevice, hand_out
+from clgs.train.step.grow_and_prune import replaces_anchors
 from clgs.train.step.look import Look, Looks, ViewInput
 from clgs.train.step.optimizer import Optimizer
-from clgs.train.step.others import OtherDevice, hand_out
 from clgs.train.step.schedule import reduction
 
 
@@ -173,7 +172,7 @@ class StepQueue:
             if state.exposures is not None:
                 photos = [view.index for view in given.views]
                 self._looks.exposure.learn(state.exposures, photos, step, stop)
-            averages.extend(device, config, state, step, stop)
+            optimizer.extend(device, config, state, step, stop)
         with device.stage("density"):
             for seen in batch.seen:
                 density.accumulate(device, parameters.statistics, seen, stop)

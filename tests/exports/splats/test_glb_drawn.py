@@ -19,7 +19,7 @@ from clgs.exports.splats.glb import encode_glb
 from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.scene import SplatScene
-from clgs.train.quality.metrics import psnr_8bit, to_8bit
+from clgs.train.quality.scores import psnr_8bit, to_8bit
 from tests.exports.splats.cases import gaussians
 from tests.exports.splats.test_other_programs import installed
 from tests.ops.cases.project import camera_at

@@ -15,8 +15,14 @@ from clgs.render.frame import upload_scene, upload_view
 from clgs.render.rasterise import rasterise
 from clgs.scene.anchors import QuantizationScales, quantize
 from clgs.scene.scene import QuantizedScene
-from clgs.train.quality.metrics import psnr_8bit, psnr_channel_mean, ssim, ssim_map, to_8bit
-from clgs.train.quality.score_views import count_drawn
+from clgs.train.quality.scores import (
+    count_drawn,
+    psnr_8bit,
+    psnr_channel_mean,
+    ssim,
+    ssim_map,
+    to_8bit,
+)
 
 
 def pictures(
@@ -107,7 +113,7 @@ def test_ssim_against_direct_sums_at_one_pixel():
 def test_ssim_is_that_of_the_whole_picture_at_once(height, monkeypatch):
     render, photo = np.random.default_rng(2).integers(0, 256, (2, height, 31, 3)).astype(np.uint8)
     by_bands = ssim_map(render, photo)
-    monkeypatch.setattr("clgs.train.quality.metrics.BAND", height)
+    monkeypatch.setattr("clgs.train.quality.scores.BAND", height)
     np.testing.assert_array_equal(by_bands, ssim_map(render, photo))
 
 

@@ -28,8 +28,8 @@ from clgs.train.quality.importance import (
     importance_without_views,
     sensitivity,
 )
-from clgs.train.quality.metrics import to_8bit
 from clgs.train.quality.rate_control import SceneJudge, reduce_to_psnr, reduce_to_size, spread
+from clgs.train.quality.scores import to_8bit
 from tests.codec.scenes import random_scene
 
 

@@ -8,8 +8,14 @@ import numpy as np
 import pytest
 
 from clgs.errors import UsageError
-from clgs.train.quality.score_tables import HEADER, append_survey, check_survey, write_inria
-from clgs.train.quality.score_views import ViewScore, summarize
+from clgs.train.quality.scores import (
+    HEADER,
+    ViewScore,
+    append_survey,
+    check_survey,
+    summarize,
+    write_inria,
+)
 from tests.codec.scenes import random_scene
 
 

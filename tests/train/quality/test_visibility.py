@@ -13,7 +13,7 @@ from clgs.lab.selftest.reference_render import render_reference
 from clgs.reference import blend
 from clgs.render.frame import upload_scene, upload_view
 from clgs.render.rasterise import rasterise
-from clgs.train.quality.visibility import LEAST_WEIGHT, visibility
+from clgs.train.quality.importance import LEAST_WEIGHT, visibility
 from tests.compare import relative_l2
 
 SIZE = 64

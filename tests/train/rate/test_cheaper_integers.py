@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clgs.reference.rate import laplace_nats
-from clgs.train.rate.cheaper_integers import (
+from clgs.train.rate.pricing import (
     LEAST_SCALE,
     MOST_POWER,
     SCALES_PER_OCTAVE,

@@ -12,7 +12,7 @@ from clgs.train.config import TrainConfig, preset
 from clgs.train.config.settings import FINE_Q
 from clgs.train.rate import economy
 from clgs.train.rate.economy import ANCHOR_BITS, LEAST_ROUNDS, ROUNDS, THINNED, Economy
-from clgs.train.rate.judgement import compare
+from clgs.train.rate.pricing import compare
 from clgs.train.run.session import train_scene
 from clgs.train.run.trainer import Trainer
 from clgs.train.state.rounding import Rounding, rounded_anchors

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clgs.train.rate.entropy import (
+from clgs.train.rate.rate_term import (
     CLASSES,
     activity_classes,
     class_bits,

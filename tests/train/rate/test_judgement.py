@@ -19,9 +19,9 @@ from clgs.render.rasterise import rasterise
 from clgs.scene.scene import RenderSettings, Scene
 from clgs.train.config import TrainConfig
 from clgs.train.quality.importance import sensitivity
-from clgs.train.quality.metrics import to_8bit
-from clgs.train.rate.judgement import compare, judge, look
-from clgs.train.state.parameters import ANCHOR_GROUPS
+from clgs.train.quality.scores import to_8bit
+from clgs.train.rate.pricing import compare, judge, look
+from clgs.train.state.run_state import ANCHOR_GROUPS
 
 VIEWS = 24
 CONFIG = TrainConfig()

@@ -10,16 +10,16 @@ import pytest
 from clgs.constants import FEATURE_DIM, K_OFFSETS
 from clgs.errors import ClgsError
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
-from clgs.train.rate.judgement import Judgement
 from clgs.train.rate.pricing import (
     LEAST_PRICE,
+    Judgement,
     PricedAnchors,
     Situation,
     priced,
     priced_for_size,
     priced_within_loss,
 )
-from tests.train.density.density_cases import state_at
+from tests.train.step.density_cases import state_at
 
 COUNT = 40
 SCALES = QuantizationScales(position=2.0, offset=2.0, feature=2.0, scaling=2.0)

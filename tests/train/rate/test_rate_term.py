@@ -12,10 +12,8 @@ from clgs.scene.anchors import AnchorSet, QuantizationScales, quantize
 from clgs.scene.mlps import init_mlps
 from clgs.train.config import TrainConfig
 from clgs.train.config.size_settings import MLP_BYTES
-from clgs.train.rate.entropy import coded_bits
-from clgs.train.rate.rate_term import PUSH, RateTerm, estimated_bytes
-from clgs.train.state.parameters import ANCHOR_GROUPS, Parameters, new_parameters
-from clgs.train.state.run_state import RateState
+from clgs.train.rate.rate_term import PUSH, RateTerm, coded_bits, estimated_bytes
+from clgs.train.state.run_state import ANCHOR_GROUPS, Parameters, RateState, new_parameters
 
 COUNT = 300
 SCALES = QuantizationScales(offset=4.0, feature=2.0, scaling=16.0)

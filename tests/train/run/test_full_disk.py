@@ -14,8 +14,8 @@ import pytest
 
 from clgs.errors import ClgsError
 from clgs.train.config import preset
-from clgs.train.run import full_disk
-from clgs.train.run.full_disk import FullDiskError
+from clgs.train.run import progress
+from clgs.train.run.progress import FullDiskError
 from clgs.train.run.session import train_scene
 
 STEPS = 12
@@ -52,7 +52,7 @@ class Disk:
 def disk(monkeypatch):
     disk = Disk()
     monkeypatch.setattr(os, "fsync", disk.fsync)
-    monkeypatch.setattr(full_disk.time, "sleep", disk.sleep)
+    monkeypatch.setattr(progress.time, "sleep", disk.sleep)
     return disk
 
 
@@ -83,7 +83,7 @@ def steps(folder):
 def test_training_goes_on_and_the_next_try_comes_sooner(
     disk, train, whole, tmp_path, monkeypatch, caplog
 ):
-    monkeypatch.setattr(full_disk, "RETRY_STEPS", 2)
+    monkeypatch.setattr(progress, "RETRY_STEPS", 2)
     result = train(disk.between(3, 7))
     assert result.bitstream == whole
     assert disk.waits == 0
@@ -107,7 +107,7 @@ def test_a_trained_scene_waits_for_room(disk, train, whole, caplog):
 def test_without_room_the_last_checkpoint_is_named_and_resumed(
     disk, train, whole, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(full_disk, "WAIT_SECONDS", 0.0)
+    monkeypatch.setattr(progress, "WAIT_SECONDS", 0.0)
     with pytest.raises(FullDiskError, match=r"scene\.npz: No space left on device; free") as caught:
         train(disk.between(6, 99))
     assert str(caught.value).endswith("repeat the command with --resume: it goes on after step 5")
@@ -180,7 +180,7 @@ def take_all(path):
 
 @pytest.mark.slow
 def test_a_file_system_that_really_fills_up(small_disk, train, whole, monkeypatch):
-    monkeypatch.setattr(full_disk, "WAIT_SECONDS", 0.0)
+    monkeypatch.setattr(progress, "WAIT_SECONDS", 0.0)
     run, ballast = small_disk / "run", small_disk / "ballast"
 
     def fill_up(progress):

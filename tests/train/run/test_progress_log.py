@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from clgs.errors import DataError
-from clgs.train.run.progress_log import COLUMNS, ProgressLog
+from clgs.train.run.progress import COLUMNS, ProgressLog
 from clgs.train.run.trainer import StepResult
 
 HEADER = ",".join(COLUMNS) + "\r\n"
@@ -19,7 +19,7 @@ ROWS = "10,1.5,0.1,0.1,0.9,20.000,5,100,\r\n11,1.6,,,,21.500,,,psnr before quant
 def clock(monkeypatch):
     """A clock that stands still at 7 seconds."""
     still = SimpleNamespace(perf_counter=lambda: 7.0)
-    monkeypatch.setattr("clgs.train.run.progress_log.time", still)
+    monkeypatch.setattr("clgs.train.run.progress.time", still)
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from clgs.scene.mlps import MLP_SIZE, init_mlps
 from clgs.scene.storage import save_scene
 from clgs.train.config import preset
 from clgs.train.config.run_settings import OBJECTS, RANDOM, TRAINED
-from clgs.train.run.start import start_mlps
+from clgs.train.run.load import start_mlps
 from clgs.train.run.trainer import Trainer
 from tests.codec.scenes import random_scene
 

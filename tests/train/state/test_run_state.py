@@ -14,9 +14,8 @@ from clgs.ops.rate import forward
 from clgs.scene.anchors import QuantizationScales
 from clgs.train.config import TrainConfig
 from clgs.train.quality.importance import Sensitivity
-from clgs.train.state.parameters import ANCHOR_GROUPS
-from clgs.train.state.resume import load_state, save_state
-from clgs.train.state.run_state import RateTables, ViewOrder, new_state
+from clgs.train.state.checkpoint import load_state, save_state
+from clgs.train.state.run_state import ANCHOR_GROUPS, RateTables, ViewOrder, new_state
 
 DIGEST = "d" * 64
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from clgs.train.config import preset
-from clgs.train.run.start import state_of_scene
+from clgs.train.run.load import state_of_scene
 from clgs.train.run.trainer import Trainer
 from clgs.train.step.schedule import learning_rates
 

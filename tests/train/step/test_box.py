@@ -10,7 +10,7 @@ import pytest
 from clgs.errors import UsageError
 from clgs.scene.region import Box
 from clgs.train.config import preset
-from clgs.train.config.box import parse_box
+from clgs.train.config.settings import parse_box
 from clgs.train.run.trainer import Trainer
 
 LEFT = "-inf,-inf,-inf,0.01,inf,inf"

@@ -12,7 +12,7 @@ from clgs.data.images import Pixels
 from clgs.data.stored_photo import StoredPhoto
 from clgs.train.config import preset
 from clgs.train.run.trainer import Trainer
-from clgs.train.step.exposures import ExposureTerm
+from clgs.train.step.look import ExposureTerm
 from tests.data.folders import write_room
 
 STEPS, PHOTOS, WALL_POINTS = 300, 16, 4500

@@ -11,8 +11,7 @@ from clgs.data.images import Pixels
 from clgs.data.masks import StoredMask
 from clgs.data.stored_photo import StoredPhoto
 from clgs.train.config import preset
-from clgs.train.quality.metrics import psnr_8bit, psnr_channel_mean, ssim
-from clgs.train.quality.score_views import evaluate_views
+from clgs.train.quality.scores import evaluate_views, psnr_8bit, psnr_channel_mean, ssim
 from clgs.train.run.trainer import Trainer
 from clgs.train.state.hashes import run_digest
 

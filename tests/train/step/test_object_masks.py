@@ -27,7 +27,7 @@ from clgs.render.renderer import Renderer
 from clgs.train.config import preset
 from clgs.train.run.trainer import Trainer
 from clgs.train.state.hashes import run_digest
-from clgs.train.step.photos import TrainingPhotos
+from clgs.train.step.look import TrainingPhotos
 from tests.compare import relative_l2
 from tests.data.folders import noise_image
 from tests.small_scene import write_scene

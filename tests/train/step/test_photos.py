@@ -12,7 +12,7 @@ from clgs.data.stored_photo import PhotoMemory, StoredPhoto
 from clgs.data.view import View
 from clgs.lab.anchor_scene import square_camera
 from clgs.train.config import preset
-from clgs.train.step.photos import TrainingPhotos
+from clgs.train.step.look import TrainingPhotos
 from clgs.train.step.schedule import reduction
 
 

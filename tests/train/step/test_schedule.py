@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from clgs.train.config import LearningRates, TrainConfig, preset
-from clgs.train.density.grow_and_prune import replaces_anchors
+from clgs.train.step.grow_and_prune import replaces_anchors
 from clgs.train.step.schedule import learning_rates, log_linear
 
 

@@ -14,9 +14,9 @@ from clgs.ops.density import Statistics
 from clgs.render.frame import DeviceScene
 from clgs.scene.anchors import AnchorSet
 from clgs.train.config import TrainConfig
-from clgs.train.density import grow_and_prune
-from clgs.train.density.voxel_grid import position_integers
-from clgs.train.state.parameters import HostRows, Moments, Parameters
+from clgs.train.state.run_state import HostRows, Moments, Parameters
+from clgs.train.state.voxel_grid import position_integers
+from clgs.train.step import grow_and_prune
 
 VOXEL = 0.5
 CONFIG = TrainConfig(voxel=VOXEL, growth_threshold=0.25)

@@ -8,7 +8,7 @@ from hypothesis.extra import numpy as hnp
 
 from clgs.errors import DataError
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors, dequantize
-from clgs.train.density.voxel_grid import initial_anchors, voxel_integers
+from clgs.train.state.voxel_grid import initial_anchors, voxel_integers
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]], np.float32)
 

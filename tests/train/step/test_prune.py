@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 from clgs.constants import K_OFFSETS
 from clgs.errors import ClgsError
-from clgs.train.density import grow_and_prune
-from clgs.train.density.grow_and_prune import merge_cells
-from clgs.train.density.voxel_grid import position_integers
-from clgs.train.state.parameters import HostRows
-from tests.train.density.density_cases import (
+from clgs.train.state.run_state import HostRows
+from clgs.train.state.voxel_grid import position_integers
+from clgs.train.step import grow_and_prune
+from clgs.train.step.grow_and_prune import merge_cells
+from tests.train.step.density_cases import (
     CONFIG,
     VOXEL,
     assert_rows,

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from clgs.constants import K_OFFSETS
 from clgs.errors import ClgsError
 from clgs.train.config import TrainConfig
-from clgs.train.state.parameters import HostRows
-from tests.train.density.density_cases import (
+from clgs.train.state.run_state import HostRows
+from tests.train.step.density_cases import (
     CONFIG,
     VOXEL,
     Draws,
