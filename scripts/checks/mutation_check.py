@@ -56,13 +56,9 @@ EQUIVALENT: dict[str, str] = {}
 def suite(stage: str) -> list[str]:
     """The tests of a stage."""
     stress = [f"tests/stress/test_{theme}.py" for theme in STRESS.get(stage, ())]
-    density = (
-        ["tests/train/step/test_grow.py", "tests/train/step/test_prune.py"]
-        if stage == "growth"
-        else []
-    )
     room, _, name = STAGES[stage].rpartition("/")
-    density = [f"tests/train/step/test_{name}.py" for name in names]
+    growth = ("grow", "prune") if stage == "growth" else ()
+    density = [f"tests/train/step/test_{one}.py" for one in growth]
     return [f"tests/ops/{room}/test_{name}.py", *stress, *density]
 
 
