@@ -57,11 +57,11 @@ trained on, if RUN is no run folder.
 has rounded them; the same weights come back either way.
 
 --target-size and --target-psnr make a smaller file without training: anchors are left out, least
-useful first, and for a size Q of offsets, features and scalings are made coarser; Q of positions
-stays. With --data the training views (48 at most) say what is useful, and 12 of them, or
---all-views, what it costs in PSNR. Without, Q are made coarser by fixed shares, and anchors go only
-if that does not suffice, those first that show least from all around. A target that a file without
-anchors exceeds in size, or reaches in PSNR, is refused.
+useful first, and Q of offsets, features and scalings are made coarser; Q of positions stays. With
+--data the training views (48 at most) say what is useful, and 12 of them, or --all-views, what it
+costs in PSNR. Without, Q are made coarser by fixed shares, and anchors go only if that does not
+suffice, those first that show least from all around. A target that a file without anchors exceeds
+in size, or reaches in PSNR, is refused.
 
 RUN is a run folder, the .npz or .clgs file of a scene, or a PLY file of anchors as the reference
 code writes it (f_offset_*, f_anchor_feat_*, scale_*): X.quantized.ply holds integers, any other

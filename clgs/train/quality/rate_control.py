@@ -7,7 +7,7 @@ grid would move all Gaussians of an anchor, and positions are a small share.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -68,6 +68,9 @@ ROUND = 0.15
 """Share of all anchors that is dropped before the others are judged again."""
 
 PSNR_STEPS = 6
+
+SIZE_STEPS, SMALLER = 6, 0.8
+"""How often coarser integers are tried for a PSNR, and what share of the last bytes comes next."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +152,7 @@ def reduce_to_size(
     room = (target - least) / (whole - least) * float(anchor_bits(scene.anchors).sum())
     order, _ = rank(scene, judge, lambda cut: anchor_bits(cut.anchors).sum() < room)
     products = judge.products(scene)
-    factors = _best_factors(scene, products, order, room, judge)
+    factors = _best_factors(scene, products, order, room, judge, dict.fromkeys(COARSER, 1.0))
     fitted = fit_coarsened(scene, factors, products, order, target, encode)
     return Reduced(*fitted, (before, judge.psnr(fitted[0])))
 
@@ -157,7 +160,9 @@ def reduce_to_size(
 def reduce_to_psnr(
     scene: QuantizedScene, target: float, encode: Encode, judge: SceneJudge
 ) -> Reduced:
-    """Keep the fewest anchors, most useful first, that have ``target`` dB on the views.
+    """Find the smallest file that has ``target`` dB on the views.
+
+    First the fewest anchors, most useful first; then coarser integers of more of them.
 
     Raises:
         UsageError: the whole scene is below ``target``, or one without anchors is not.
@@ -183,7 +188,43 @@ def reduce_to_psnr(
             high, best, after = count, trial, reached
         else:
             low = count
-    return Reduced(best, encode(best), {}, (before, judge.psnr(best) if after is None else after))
+    reached = judge.psnr(best) if after is None else after
+    found = Reduced(best, encode(best), {}, (before, reached))
+    return _coarser(scene, target, encode, judge, order, found)
+
+
+def _coarser(
+    scene: QuantizedScene,
+    target: float,
+    encode: Encode,
+    judge: SceneJudge,
+    order: npt.NDArray[np.intp],
+    found: Reduced,
+) -> Reduced:
+    """What has ``target`` dB in fewer bytes than ``found``, by coarser integers, if anything has.
+
+    Anchors are kept from the start of ``order`` on.
+    """
+    whole, least = len(encode(scene)), len(encode(take(scene, np.arange(0))))
+    if len(found.data) <= least:
+        return found
+    bits, products = float(anchor_bits(scene.anchors).sum()), judge.products(scene)
+    factors, too_small = dict.fromkeys(COARSER, 1.0), least
+    for _ in range(SIZE_STEPS):
+        middle = (too_small + len(found.data)) // 2
+        size = max(int(SMALLER * len(found.data)), middle)
+        if size == too_small:
+            break
+        room = (size - least) / (whole - least) * bits
+        factors = _best_factors(scene, products, order, room, judge, factors)
+        fitted = fit_coarsened(scene, factors, products, order, size, encode)
+        reached = judge.psnr(fitted[0])
+        if reached >= target:
+            found = replace(found, scene=fitted[0], data=fitted[1], factors=fitted[2])
+            found = replace(found, psnr=found.psnr and (found.psnr[0], reached))
+        else:
+            too_small = size
+    return found
 
 
 def rank(
@@ -213,11 +254,12 @@ def _best_factors(
     order: npt.NDArray[np.intp],
     room: float,
     judge: SceneJudge,
+    factors: Factors,
 ) -> Factors:
     """Find what to multiply Q by for the best PSNR in about ``room`` bits of anchors.
 
-    Anchors are kept from the start of ``order`` on. One attribute after the other becomes coarser,
-    or finer again, as long as that is a gain.
+    Anchors are kept from the start of ``order`` on. From ``factors`` on, one attribute after the
+    other becomes coarser, or finer again, as long as that is a gain.
     """
 
     def reached(factors: Factors) -> float:
@@ -225,7 +267,6 @@ def _best_factors(
         cost = np.cumsum(anchor_bits(coarse.anchors)[order])
         return judge.psnr(take(coarse, order[: int(np.searchsorted(cost, room))]), COMPARED)
 
-    factors = dict.fromkeys(COARSER, 1.0)
     best = reached(factors)
     for step, name in product(STEPS, COARSER):
         for change in (step, 1 / step):

@@ -146,16 +146,21 @@ def test_a_scene_that_fits_is_left_alone(device, seen):
     assert found.psnr[0] == found.psnr[1]
 
 
-def test_a_psnr_is_kept_with_fewer_anchors(device, seen):
+def test_a_psnr_is_kept_in_fewer_bytes(device, seen, monkeypatch):
     scene, view = seen
     judge = SceneJudge(device, [view], [view])
     whole = judge.psnr(scene)
     found = reduce_to_psnr(scene, whole - 6.0, fast, judge)
     assert found.psnr == (whole, judge.psnr(found.scene))
     assert found.psnr[1] >= whole - 6.0
-    assert len(found.scene.anchors) < len(scene.anchors)
+    assert found.data == fast(found.scene)
     smaller = reduce_to_psnr(scene, whole - 14.0, fast, judge)
     assert len(smaller.data) < len(found.data) < len(fast(scene))
+    monkeypatch.setattr("clgs.train.quality.rate_control.SIZE_STEPS", 0)
+    alone = reduce_to_psnr(scene, whole - 6.0, fast, judge)  # by fewer anchors alone
+    assert len(alone.scene.anchors) < len(scene.anchors)
+    assert alone.factors == {}
+    assert len(found.data) < len(alone.data)
     with pytest.raises(UsageError, match="the whole scene has"):
         reduce_to_psnr(scene, whole + 0.1, fast, judge)
 
