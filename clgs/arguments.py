@@ -25,8 +25,10 @@ def as_path(name: str, value: Any) -> Path:
 
 
 def check_integer(name: str, value: Any) -> int:
-    """``value`` as an int; TypeError if it is no integer, such as 2.0."""
+    """``value`` as an int; TypeError if it is no integer, such as 2.0 or True."""
     try:
+        if isinstance(value, bool):
+            raise TypeError
         return operator.index(value)
     except TypeError:
         raise TypeError(f"{name}: {_shown(value)}; an integer is needed") from None

@@ -39,6 +39,7 @@ from clgs.codec.workers import workers
 from clgs.constants import K_OFFSETS
 from clgs.errors import UsageError
 from clgs.scene.anchors import QuantizedAnchors, take
+from clgs.scene.photo_range import UNKNOWN
 from clgs.scene.region import Box
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.world import in_words
@@ -285,10 +286,11 @@ def _add_details(
 def describe(data: bytes) -> dict[str, Any]:
     """Header and size of a file: plain numbers, ready for JSON; payloads are not decoded.
 
-    Keys: version, bytes, anchors, extent (the corners of the anchors' box, in the units of the
-    input data; absent if there are none), level, origin, depth, chunks (anchors per chunk at most,
-    count), layers (of a file in layers: for each its anchors, the byte where it ends, and whether
-    the file has it whole), scales, world (what these units are, in words), transform, settings,
+    Keys: version, bytes, missing (bytes, of a file in layers that is cut), anchors, extent (the
+    corners of the anchors' box, in the units of the input data; absent if there are none), level,
+    origin, depth, chunks (anchors per chunk at most, count), layers (of a file in layers: for each
+    its anchors, the byte where it ends, and whether the file has it whole), scales, world (what
+    these units are, in words), transform, settings (without photos if nothing is known of them),
     content_hash (hex), and sections (bytes by tag, ``container`` for the signature and the table).
 
     Raises:
@@ -300,6 +302,8 @@ def describe(data: bytes) -> dict[str, Any]:
     sizes = {tag: len(section.data) for tag, section in sections.items()}
     if table.size > len(data):
         sizes[BODY] = len(data) - reader.body
+    settings, photos = dict(vars(meta.settings)), meta.settings.photos
+    settings.pop("photos")
     extent, groups = {}, reader.head.groups
     if len(groups):
         corners = np.stack([groups[:, 1:4].min(axis=0), groups[:, 4:7].max(axis=0)])
@@ -308,6 +312,7 @@ def describe(data: bytes) -> dict[str, Any]:
     return {
         "version": table.version,
         "bytes": len(data),
+        **({"missing": table.size - len(data)} if table.size > len(data) else {}),
         "anchors": meta.anchors,
         **extent,
         "level": meta.level,
@@ -318,7 +323,7 @@ def describe(data: bytes) -> dict[str, Any]:
         "scales": dict(vars(meta.scales)),
         "world": in_words(meta.transform.frame, meta.transform.place),
         "transform": dict(vars(meta.transform)),
-        "settings": dict(vars(meta.settings)),
+        "settings": settings | ({} if photos == UNKNOWN else {"photos": photos._asdict()}),
         "content_hash": meta.content_hash.hex(),
         "sections": {"container": len(data) - sum(sizes.values()), **sizes},
     }

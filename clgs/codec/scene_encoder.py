@@ -91,6 +91,7 @@ def encode(
         CodecError: positions repeat or span 2^21 cells, or a weight or setting is not a sensible
             number; the message names the field and the remedy.
         UsageError: no such level or mode, or a chunk or a number of threads or layers out of range.
+        ValueError: ``importance`` has another shape, or a number that is not finite or below 0.
         TypeError: ``scene`` is no quantised scene, a chunk or number of threads no integer, or a
             level or mode no string.
     """
@@ -212,6 +213,10 @@ def _in_layers(
 ) -> tuple[QuantizedAnchors, list[int]]:
     """The anchors ``whole``, in Morton order, layer by layer; where layers begin, and the end."""
     if importance is not None:
+        importance = np.asarray(importance, np.float64)
+        Shapes(A=len(whole)).check("importance", importance, "A", np.float64)
+        if not (np.isfinite(importance).all() and (importance >= 0).all()):
+            raise ValueError("importance: a number is not finite or below 0")
         importance = importance[octree.morton_order(scene.anchors.position)]
     ordered, details = replace(scene, anchors=whole), int(detailed)
     layer = layering.choose_layers(ordered, layers - details, importance, details)

@@ -10,7 +10,9 @@ import pytest
 
 from clgs.cli.commands.info import flatten
 from clgs.cli.main import main
+from clgs.codec.scene_encoder import encode
 from clgs.exports.splats.spz import encode_spz
+from tests.codec.scenes import random_scene
 from tests.exports.splats.cases import gaussians
 
 
@@ -26,6 +28,20 @@ def test_another_file_exits_3(tmp_path, capsys, data):
     (tmp_path / "x.clgs").write_bytes(data)
     assert main(["info", str(tmp_path / "x.clgs")]) == 3
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_file_that_is_cut_is_called_so(tmp_path, capsys):
+    path = tmp_path / "s.clgs"
+    data = encode(random_scene(np.random.default_rng(0), 60), layers=2)
+    path.write_bytes(data[:-7])
+    assert main(["info", str(path)]) == 0
+    said = capsys.readouterr()
+    assert "settings.photos" not in said.out
+    assert said.err == f"clgs: warning: {path}: the file is cut; 7 bytes are missing\n"
+    path.write_bytes(data)
+    assert main(["info", str(path)]) == 0
+    said = capsys.readouterr()
+    assert ("missing" in said.out, said.err) == (False, "")
 
 
 def test_splats_of_any_format_are_described(tmp_path, capsys):

@@ -164,8 +164,10 @@ def test_levels_are_strings(level):
     for options in ({"level": level}, {"mlp": level}):
         with pytest.raises(TypeError, match=r"^(level|mlp): .{1,60}; a string is needed$"):
             encode(random_scene(np.random.default_rng(1), 2), **options)
-    for options in ({"chunk": np.arange(99.0)}, {"threads": np.arange(99.0)}):
-        with pytest.raises(TypeError, match=r"^(chunk|threads): .{1,60}; an integer is needed$"):
+    for options in ({"chunk": np.arange(99.0)}, {"threads": np.arange(99.0)}, {"layers": True}):
+        with pytest.raises(
+            TypeError, match=r"^(chunk|threads|layers): .{1,60}; an integer is needed$"
+        ):
             encode(random_scene(np.random.default_rng(1), 2), **options)
 
 

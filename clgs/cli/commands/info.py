@@ -25,6 +25,7 @@ def run(args: argparse.Namespace) -> int:
     """Print the description of a file; exit code 0."""
     import json
 
+    from clgs.cli.tell import tell
     from clgs.codec import scene_decoder, splat_packing
     from clgs.workflow.scenes import SPLAT_SUFFIXES, describe_splats, naming, read_bytes
 
@@ -36,6 +37,8 @@ def run(args: argparse.Namespace) -> int:
         with naming(args.scene):
             reader = splat_packing if splat_packing.is_splats(data) else scene_decoder
             description = reader.describe(data)
+    if missing := description.get("missing"):
+        tell(f"clgs: warning: {args.scene}: the file is cut; {missing:,} bytes are missing")
     if args.json:
         print(json.dumps(description, indent=2))
         return 0

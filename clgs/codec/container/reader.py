@@ -39,6 +39,7 @@ from clgs.codec.container.sections import (
     damage,
 )
 from clgs.constants import FEATURE_DIM, K_OFFSETS
+from clgs.errors import CodecError
 from clgs.scene.anchors import QuantizedAnchors
 from clgs.scene.mlps import Mlps
 from clgs.scene.scene import QuantizedScene
@@ -156,7 +157,7 @@ class SceneReader:
         if whole == 0:
             missing = listed[self.layers[0].chunks - 1].end - there
             what = f"the file is cut {missing} bytes before the end of layer 1"
-            raise self.error(BODY, f"{what} of {self.layer_count}")
+            raise CodecError(f"{what} of {self.layer_count}; copy it again")
         return whole
 
     def fetch(self, listed: list[Chunk], details: bool = False) -> None:

@@ -73,7 +73,9 @@ def test_every_beginning_is_the_scene_of_its_layers(scene, file):
             names = "layer 1" if count == 1 else f"layers 1 to {count}"
             text = f"the file is cut; it has {names} of 4, a coarser scene"
             assert [str(one.message) for one in said] == [text] * (count < 4)
-        there = [layer["there"] for layer in describe(file[:end])["layers"]]
+        described = describe(file[:end])
+        assert described.get("missing", 0) == len(file) - end
+        there = [layer["there"] for layer in described["layers"]]
         assert there == [True] * count + [False] * (4 - count)
 
 
@@ -87,7 +89,8 @@ def test_a_layer_cut_in_the_middle_is_left_out_also_of_a_box(scene, file):
 
 def test_a_file_cut_before_its_first_layer_ends_is_refused(file):
     first = ends(file)[0]
-    with pytest.raises(CodecError, match="cut 1 bytes before the end of layer 1 of 4"):
+    said = "^the file is cut 1 bytes before the end of layer 1 of 4; copy it again$"
+    with pytest.raises(CodecError, match=said):
         decode(file[: first - 1])
     for size in range(0, first, 37):
         with pytest.raises(CodecError):
@@ -110,6 +113,16 @@ def test_a_box_of_a_layer_is_read_from_its_bytes_alone(scene, file, sorted_scene
     wanted = subset(scene, 1)
     inside = box.holds(wanted.transform.to_world(wanted.anchors.position / np.float64(200)))
     assert_same(coarse, replace(wanted, anchors=take(wanted.anchors, inside)))
+
+
+@pytest.mark.parametrize("worst", [np.nan, np.inf, -1.0])
+def test_importance_that_is_none_is_refused(scene, worst):
+    importance = np.ones(len(scene.anchors))
+    importance[3] = worst
+    with pytest.raises(ValueError, match=r"^importance: a number is not finite or below 0$"):
+        encode(scene, layers=2, importance=importance)
+    with pytest.raises(ValueError, match=r"^importance: shape is"):
+        encode(scene, layers=2, importance=np.ones(len(scene.anchors) - 1))
 
 
 def test_importance_decides_which_anchors_come_first(scene):
