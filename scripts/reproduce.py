@@ -29,7 +29,7 @@ from clgs.cluster.worker import Row
 from clgs.errors import ClgsError, DataError
 from clgs.explain import explain
 from clgs.files import check_folder
-from clgs.lab.bench.plots import require_pyplot
+from clgs.lab.figures import require_pyplot
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLE = Path(__file__).resolve().parent / "reproduce" / "default.toml"

@@ -26,8 +26,8 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.constants import TILE_SIZE
+from clgs.lab.figures import take_turns
 from clgs.lab.selftest.reference_render import relative_l2
-from clgs.lab.turns import take_turns
 from clgs.opencl.device import Device
 from clgs.ops import blend, tiles
 from clgs.ops.project import Projected

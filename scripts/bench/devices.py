@@ -26,7 +26,7 @@ import clgs
 from clgs.data.dataset import Dataset, load_dataset
 from clgs.data.origin import repose
 from clgs.lab.bench.step import STILL, WARM_UP
-from clgs.lab.turns import take_turns
+from clgs.lab.figures import take_turns
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.scene.scene import Scene

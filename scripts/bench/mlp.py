@@ -20,9 +20,9 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.constants import FEATURE_DIM, HEAD_DIMS, HIDDEN_DIM, INPUT_DIM, K_OFFSETS, OUTPUT_DIM
-from clgs.lab.anchor_scene import square_camera
-from clgs.lab.bench.stage_limits import measure_limits
-from clgs.lab.turns import take_turns
+from clgs.lab.bench.ops import measure_limits
+from clgs.lab.figures import take_turns
+from clgs.lab.scenes import square_camera
 from clgs.opencl.device import Device
 from clgs.ops import mlp
 from clgs.options import DEFAULT, RenderOptions, Skips

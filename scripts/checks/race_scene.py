@@ -18,7 +18,7 @@ import numpy.typing as npt
 import pyopencl as cl
 
 from clgs.constants import TILE_SIZE
-from clgs.lab.anchor_scene import anchor_scene, photo_dataset
+from clgs.lab.scenes import anchor_scene, photo_dataset
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import blend, cull, rate, tiles

@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from clgs.lab.anchor_scene import anchor_scene
 from clgs.lab.bench.step import count_frame, trainer_of
+from clgs.lab.scenes import anchor_scene
 from clgs.opencl.device import Device
 from clgs.ops import blend, scan, sort
 

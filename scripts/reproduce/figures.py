@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from clgs.lab.bench.plots import MARKERS, PANEL, STYLE, require_pyplot, save
+from clgs.lab.figures import MARKERS, PANEL, STYLE, require_pyplot, save
 from reproduce.baseline import Point
 from reproduce.curves import Curve
 from reproduce.results import Group, Results, matching

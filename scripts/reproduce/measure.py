@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode
 from clgs.data.dataset import Dataset
-from clgs.lab.facts import machine_facts
+from clgs.lab.figures import machine_facts
 from clgs.opencl.device import Device
 from clgs.options import RenderOptions
 from clgs.train.quality.scores import evaluate_views, summarize

@@ -20,7 +20,7 @@ from clgs.bake.bake import (
 from clgs.bake.cameras import VIEWS, cameras_around
 from clgs.bake.fit import observe
 from clgs.errors import DataError
-from clgs.lab.anchor_scene import anchor_scene
+from clgs.lab.scenes import anchor_scene
 from clgs.options import DEFAULT
 from clgs.render.frame import upload_scene, upload_view
 from clgs.render.renderer import Renderer

@@ -12,7 +12,7 @@ import pytest
 from clgs.cli import main as cli
 from clgs.data.splats.gaussians import load_splats
 from clgs.exports.splats.ply import encode_ply
-from clgs.lab.anchor_scene import anchor_scene
+from clgs.lab.scenes import anchor_scene
 from clgs.scene.anchors import QuantizationScales, quantize
 from clgs.scene.scene import QuantizedScene, SceneTransform
 from clgs.scene.storage import save_scene

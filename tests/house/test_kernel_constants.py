@@ -24,7 +24,7 @@ from tests.house.rules import op_paths
 
 ROOT = Path(__file__).resolve().parents[2]
 FORMS = {"cpu": {"VEC": "16", "USE_LOCAL": "0"}, "gpu": {"VEC": "1", "USE_LOCAL": "1"}}
-MODULES = ["opencl/programs", "lab/limit_kernels"]
+MODULES = ["opencl/programs", "lab/kernels"]
 MODULES += [f"ops/{path}" for path in op_paths(ROOT).values()]
 
 VARYING = {

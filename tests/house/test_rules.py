@@ -102,7 +102,7 @@ def test_fetching_the_kernel_of_another_stage_is_found():
     assert rules.fetch_complaints("clgs/ops/mlp.py", text, kernels) == []
     (found,) = rules.fetch_complaints("clgs/ops/blend.py", text, kernels)
     assert found == "clgs/ops/blend.py:1: mlp_forward belongs to the op mlp"
-    assert rules.fetch_complaints("clgs/lab/observed_kernels.py", text, kernels) == []
+    assert rules.fetch_complaints("clgs/lab/kernels.py", text, kernels) == []
 
 
 @pytest.mark.parametrize(

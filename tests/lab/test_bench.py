@@ -13,7 +13,7 @@ from clgs.cli.main import main
 from clgs.codec.scene_encoder import encode
 from clgs.errors import NoRoomError
 from clgs.lab.bench import scaling
-from clgs.lab.bench.codec_subjects import file_subjects
+from clgs.lab.bench.codec import file_subjects
 from clgs.lab.bench.scaling import Memory, Run, Scaling, growth
 from clgs.lab.commands import bench
 from tests.codec.scenes import random_scene

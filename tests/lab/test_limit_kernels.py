@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clgs.lab import limit_kernels as limits
+from clgs.lab import kernels as limits
 from clgs.opencl.grid import ANY_GROUP
 
 

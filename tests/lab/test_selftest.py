@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from clgs.cli.main import main
-from clgs.lab import facts
+from clgs.lab import figures
 from clgs.lab.commands import selftest as command
 from clgs.lab.selftest import render_checks, training_checks
 from clgs.lab.selftest.reference_render import Check
@@ -32,7 +32,7 @@ def devices(monkeypatch):
                 yield one
 
         monkeypatch.setattr(render_checks, "selftest", run)
-        monkeypatch.setattr(facts, "machine_facts", lambda device: {"device": device.name})
+        monkeypatch.setattr(figures, "machine_facts", lambda device: {"device": device.name})
 
     return install
 

@@ -11,7 +11,7 @@ import pyopencl as cl
 import pytest
 
 from clgs import constants
-from clgs.lab.observed_kernels import drawn_output, drawn_rows
+from clgs.lab.kernels import drawn_output, drawn_rows
 from clgs.opencl import source
 from clgs.opencl.programs import literal
 from clgs.ops import mlp

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.lab.observed_kernels import drawn_rows
+from clgs.lab.kernels import drawn_rows
 from clgs.ops import neural
 from clgs.ops.mlp import Activations, padded_size
 from clgs.options import DEFAULT

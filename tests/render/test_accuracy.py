@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clgs.errors import UsageError
-from clgs.lab.anchor_scene import anchor_scene
+from clgs.lab.scenes import anchor_scene
 from clgs.options import PRESETS, RenderOptions, render_options
 from clgs.render.renderer import Renderer, enlarge, render_view
 

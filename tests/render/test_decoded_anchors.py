@@ -9,7 +9,7 @@ import pytest
 
 import clgs
 from clgs import constants
-from clgs.lab.anchor_scene import anchor_scene
+from clgs.lab.scenes import anchor_scene
 from clgs.reference import cull, mlp, neural
 from clgs.render.frame import upload_scene, upload_view
 from clgs.render.rasterise import rasterise, rasterise_backward

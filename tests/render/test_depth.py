@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.lab.anchor_scene import anchor_scene
+from clgs.lab.scenes import anchor_scene
 from clgs.lab.selftest.reference_render import render_reference
 from clgs.options import DEFAULT, RenderOptions
 from clgs.reference import blend

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.lab.anchor_scene import anchor_scene
+from clgs.lab.scenes import anchor_scene
 from clgs.lab.selftest.reference_render import backward_reference, render_reference
 from clgs.ops import loss
 from clgs.ops.scan import EXACT

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clgs.constants import NEAR_PLANE
-from clgs.lab.observed_kernels import blend_decisions
+from clgs.lab.kernels import blend_decisions
 from clgs.options import RenderOptions
 from clgs.reference import blend, project, tiles
 from clgs.reference.general import splats

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clgs.errors import ClgsError, DeviceError
-from clgs.lab.anchor_scene import anchor_scene
+from clgs.lab.scenes import anchor_scene
 from clgs.ops import scan, tiles
 from clgs.options import DEFAULT, RenderOptions
 from clgs.render import tile_groups

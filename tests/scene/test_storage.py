@@ -13,7 +13,7 @@ import pytest
 from clgs.data.splats.gaussians import load_splats
 from clgs.data.splats.mlps_archive import load_mlps
 from clgs.errors import DataError, UsageError
-from clgs.lab.bench.codec_subjects import file_subjects
+from clgs.lab.bench.codec import file_subjects
 from clgs.scene.storage import ARRAY_NAMES, LATER, load_scene, save_scene
 from clgs.train.quality.lpips import expected_arrays, read_lpips_weights
 from clgs.train.state import checkpoint

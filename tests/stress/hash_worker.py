@@ -20,7 +20,7 @@ import numpy as np
 import clgs.opencl.grid
 import clgs.ops
 from clgs.data.dataset import load_dataset
-from clgs.lab.anchor_scene import anchor_scene
+from clgs.lab.scenes import anchor_scene
 from clgs.opencl.device import Device
 from clgs.ops import loss
 from clgs.render.frame import upload_scene, upload_view

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.lab.anchor_scene import anchor_scene
-from clgs.lab.observed_kernels import blend_decisions
+from clgs.lab.kernels import blend_decisions
+from clgs.lab.scenes import anchor_scene
 from clgs.opencl import programs
 from clgs.opencl.device import Device
 from clgs.render.frame import upload_scene, upload_view

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from clgs.constants import LOG_SCALE_LIMIT
-from clgs.lab.anchor_scene import anchor_scene
+from clgs.lab.scenes import anchor_scene
 from clgs.lab.selftest.reference_render import ReferenceFrame, backward_reference, wide
 from clgs.reference import blend, cull, loss, mlp, neural, project, tiles
 from tests.compare import central_difference

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clgs.constants import LOG_SCALE_LIMIT
-from clgs.lab.anchor_scene import anchor_scene
+from clgs.lab.scenes import anchor_scene
 from clgs.render.frame import upload_scene, upload_view
 from clgs.render.rasterise import rasterise, rasterise_backward
 from clgs.scene.scene import RenderSettings

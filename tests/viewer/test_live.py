@@ -11,7 +11,7 @@ import pytest
 from clgs.data.images import Pixels
 from clgs.data.stored_photo import StoredPhoto
 from clgs.data.view import View
-from clgs.lab.anchor_scene import anchor_scene
+from clgs.lab.scenes import anchor_scene
 from clgs.render.renderer import Renderer
 from clgs.scene.scene import RenderSettings, SplatScene
 from clgs.train.quality.scores import to_8bit

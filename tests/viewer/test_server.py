@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from clgs.exports.clip.framing import frame_cameras, frame_scene
-from clgs.lab.anchor_scene import anchor_scene
+from clgs.lab.scenes import anchor_scene
 from clgs.viewer.guard import may_enter
 from clgs.viewer.live import LiveScene, eye_of
 from clgs.viewer.server import Shown, box_edges, close_server, open_server

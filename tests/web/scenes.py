@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from clgs.codec.splat_packing import QuantizedSplats
-from clgs.lab.anchor_scene import anchor_scene
+from clgs.lab.scenes import anchor_scene
 from clgs.scene.anchors import QuantizationScales, quantize, take
 from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene

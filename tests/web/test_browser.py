@@ -20,7 +20,7 @@ from clgs.data.splats.integer_splats import read_splats
 from clgs.data.splats.table import PlyTable, pack_ply
 from clgs.errors import ClgsError
 from clgs.exports import page
-from clgs.lab.anchor_scene import square_camera
+from clgs.lab.scenes import square_camera
 from clgs.render.renderer import render_view
 from clgs.scene.photo_range import PhotoRange
 from clgs.scene.scene import IDENTITY

@@ -14,7 +14,7 @@ from clgs.codec.scene_decoder import decode
 from clgs.codec.scene_encoder import encode
 from clgs.errors import ClgsError
 from clgs.exports import page
-from clgs.lab.anchor_scene import square_camera
+from clgs.lab.scenes import square_camera
 from tests.small_scene import write_scene
 from tests.web.scenes import quantized_scene
 

@@ -18,15 +18,16 @@ from clgs.lab.bench.accuracy_points import (
     bench_accuracy,
     synthetic_subjects,
 )
-from clgs.lab.bench.plots import (
+from clgs.lab.figures import (
     MARKERS,
     PANEL,
     STYLE,
     check_figure_files,
     require_pyplot,
     save,
+    show_table,
+    write_figures,
 )
-from clgs.lab.facts import show_table, write_figures
 from clgs.opencl.device import Device
 from clgs.workflow.options import ViewOptions
 from clgs.workflow.scenes import read_scene

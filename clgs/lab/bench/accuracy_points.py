@@ -11,10 +11,9 @@ import numpy.typing as npt
 
 from clgs.cli.tell import tell
 from clgs.errors import UsageError
-from clgs.lab.anchor_scene import anchor_scene
-from clgs.lab.bench.untruncated import cached_reference
-from clgs.lab.selftest.reference_render import relative_l2
-from clgs.lab.turns import take_turns
+from clgs.lab.figures import take_turns
+from clgs.lab.scenes import anchor_scene
+from clgs.lab.selftest.reference_render import cached_reference, relative_l2
 from clgs.opencl.device import Device
 from clgs.options import PRESETS, Accuracy, RenderOptions
 from clgs.render.frame import SceneGradients, upload_scene, upload_view

@@ -11,10 +11,17 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.cli.tell import tell
-from clgs.lab.anchor_scene import anchor_scene, square_camera
-from clgs.lab.bench.plots import PANEL, STYLE, check_figure_files, require_pyplot, save
 from clgs.lab.bench.step import count_frame, stream_times, trainer_of
-from clgs.lab.facts import show_table, write_figures
+from clgs.lab.figures import (
+    PANEL,
+    STYLE,
+    check_figure_files,
+    require_pyplot,
+    save,
+    show_table,
+    write_figures,
+)
+from clgs.lab.scenes import anchor_scene, square_camera
 from clgs.opencl.device import Device
 from clgs.scene.camera import Camera
 from clgs.scene.scene import Scene

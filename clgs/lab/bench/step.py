@@ -9,8 +9,8 @@ from statistics import median
 
 import numpy as np
 
-from clgs.lab.anchor_scene import anchor_scene, photo_dataset
-from clgs.lab.facts import show_table, write_figures
+from clgs.lab.figures import show_table, write_figures
+from clgs.lab.scenes import anchor_scene, photo_dataset
 from clgs.opencl.device import Device
 from clgs.render.frame import Frame
 from clgs.render.renderer import Renderer

@@ -36,9 +36,7 @@ def run(args: argparse.Namespace) -> int:
     from tempfile import TemporaryDirectory
 
     from clgs.data.dataset import read_photo_set
-    from clgs.lab.accept.photos import write_photos
-    from clgs.lab.accept.trial import chosen_device, run_trials
-    from clgs.lab.accept.trials import QUICK, WHOLE, trials
+    from clgs.lab.accept import QUICK, WHOLE, chosen_device, run_trials, trials, write_photos
     from clgs.opencl.device import check_environment
     from clgs.workflow.outputs import check_new
 

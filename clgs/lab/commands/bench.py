@@ -107,7 +107,7 @@ def add_ops(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Time of every stage (median) and its largest error against float64, on every device. GB/s "
         "and GFLOP/s count what a stage must move and compute at least "
-        "(clgs/lab/bench/stage_limits.py states the formulas). The last column is the stage's "
+        "(clgs/lab/bench/ops.py states the formulas). The last column is the stage's "
         "share of the copy bandwidth or of the FMA rate that the device reaches, whichever is "
         "larger. Exit code 1 if an error exceeds its limit."
     )

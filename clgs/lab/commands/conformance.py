@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     """
     from clgs.errors import DataError
     from clgs.files import write_json
-    from clgs.lab.facts import machine_facts
+    from clgs.lab.figures import machine_facts
     from clgs.lab.selftest import conformance
     from clgs.opencl.device import Device
     from clgs.workflow.outputs import check_new

@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
 
     from clgs.explain import explain
     from clgs.files import write_json
-    from clgs.lab.facts import machine_facts
+    from clgs.lab.figures import machine_facts
     from clgs.lab.selftest.render_checks import selftest
     from clgs.workflow.outputs import check_new
 

@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from clgs.constants import K_OFFSETS, OUTPUT_DIM
 from clgs.errors import DataError
-from clgs.lab import limit_kernels
-from clgs.lab.observed_kernels import drawn_output
-from clgs.lab.selftest.exact_scenes import (
+from clgs.lab import kernels
+from clgs.lab.kernels import drawn_output
+from clgs.lab.scenes import (
     TURNED,
     ConformanceScene,
     ExactRandom,
@@ -234,8 +234,8 @@ def roundings(device: Device) -> dict[str, int]:
     random = ExactRandom(COUNT + 1)
     x, y = random.floats((COUNT,), 1.0, 2.0), random.floats((COUNT,), 1.0, 2.0)
     z = -random.floats((COUNT,), 1.0, 4.0)
-    found = device.download(limit_kernels.rounding(device, *map(device.upload, (x, y, z))))
-    wanted = limit_kernels.exact_rounding(*(one.astype(np.float64) for one in (x, y, z)))
+    found = device.download(kernels.rounding(device, *map(device.upload, (x, y, z))))
+    wanted = kernels.exact_rounding(*(one.astype(np.float64) for one in (x, y, z)))
     wrong = (found != wanted).sum(axis=1)
     return dict(zip(OPERATIONS, map(int, wrong), strict=True))
 

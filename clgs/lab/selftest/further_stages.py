@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from clgs.constants import FEATURE_DIM, K_OFFSETS
-from clgs.lab.selftest.exact_scenes import (
+from clgs.lab.scenes import (
     TURNED,
     ConformanceScene,
     ExactRandom,

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from clgs.constants import ALPHA_CUT, TILE_SIZE
-from clgs.lab.anchor_scene import anchor_scene
-from clgs.lab.observed_kernels import drawn_output, drawn_rows
+from clgs.lab.kernels import drawn_output, drawn_rows
+from clgs.lab.scenes import anchor_scene
 from clgs.lab.selftest.reference_render import (
     Check,
     ReferenceFrame,

@@ -10,7 +10,7 @@ from statistics import median
 import numpy as np
 
 from clgs.constants import FEATURE_DIM, K_OFFSETS, NEAR_PLANE, OUTPUT_DIM
-from clgs.lab.anchor_scene import square_camera
+from clgs.lab.scenes import square_camera
 from clgs.lab.selftest.rasteriser_checks import check_channels, check_harmonics, check_views
 from clgs.lab.selftest.reference_render import (
     Check,

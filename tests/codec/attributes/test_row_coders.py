@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from clgs.codec.attributes import row_coder
-from clgs.lab.bench.codec_subjects import PUBLISHED_ATTRIBUTES as ATTRIBUTES
+from clgs.lab.bench.codec import PUBLISHED_ATTRIBUTES as ATTRIBUTES
 from codec_c.reader.rows import decode_paper_rows, decode_rows
 from tests.codec.samples import (
     INT32,

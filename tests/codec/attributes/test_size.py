@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clgs.codec.attributes import row_coder
-from clgs.lab.bench.codec_subjects import PUBLISHED_ATTRIBUTES as BASELINE
+from clgs.lab.bench.codec import PUBLISHED_ATTRIBUTES as BASELINE
 
 LIMIT = {  # ratios to the baseline, default level
     "iid_offset": 0.985,

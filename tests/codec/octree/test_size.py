@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 
 from clgs.codec import octree
-from clgs.lab.bench.codec_subjects import PUBLISHED_POSITIONS as POSITIONS
+from clgs.lab.bench.codec import PUBLISHED_POSITIONS as POSITIONS
 
 QUICK = {"armadillo_sparse_1024", "biker_407"}
 LIMIT = 1.003

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from clgs.errors import UsageError
-from clgs.lab.bench.gsplat import difference, require_gsplat
-from clgs.lab.bench.handover import hand_over
+from clgs.lab.bench.gsplat import difference, hand_over, require_gsplat
 from clgs.lab.bench.step import synthetic_trainer
 
 LEAST_ALPHA, MOST_ALPHA, LEAST_TRANSMITTANCE = 1 / 255, 0.999, 1e-4

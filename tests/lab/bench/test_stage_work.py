@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from clgs.lab.bench.ops import worst_check
-from clgs.lab.bench.stage_limits import (
+from clgs.lab.bench.ops import (
     FORMULAS,
     Counts,
     DeviceLimits,
     measure_limits,
     share_of_limit,
+    worst_check,
 )
 from clgs.lab.selftest.reference_render import Check
 

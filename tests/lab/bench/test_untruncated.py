@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from clgs.constants import ALPHA_MAX
-from clgs.lab.anchor_scene import anchor_scene
-from clgs.lab.bench import untruncated
+from clgs.lab.scenes import anchor_scene
+from clgs.lab.selftest import reference_render
 from clgs.lab.selftest.reference_render import backward_reference
 from clgs.reference.blend import COLOR_LIMIT
 
@@ -24,7 +24,7 @@ def case():
 
 
 def render(case):
-    return untruncated.render_untruncated(*case, (SIZE, SIZE), BACKGROUND)
+    return reference_render.render_untruncated(*case, (SIZE, SIZE), BACKGROUND)
 
 
 def brute_force(frame):
@@ -77,9 +77,9 @@ def test_reference_is_kept(case, rng, tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("CLGS_CACHE", str(tmp_path / "cache"))
     d_image = rng.normal(size=(3, SIZE, SIZE)).astype(np.float32)
     arguments = (*case, (SIZE, SIZE), BACKGROUND, d_image)
-    first, again = (untruncated.cached_reference(*arguments) for _ in range(2))
+    first, again = (reference_render.cached_reference(*arguments) for _ in range(2))
     assert capsys.readouterr().err.count("reference without truncation") == 1
     assert set(first) == {"image", "d_offset", "d_feature", "d_scaling", "d_weights"}
     assert all(np.array_equal(first[name], again[name]) for name in first)
     other = (*arguments[:3], BACKGROUND[::-1].copy(), d_image)
-    assert not np.array_equal(untruncated.cached_reference(*other)["image"], first["image"])
+    assert not np.array_equal(reference_render.cached_reference(*other)["image"], first["image"])

@@ -11,11 +11,11 @@ import pytest
 
 from clgs.cli.main import main
 from clgs.errors import DataError
-from clgs.lab import limit_kernels as limits
-from clgs.lab.facts import machine_facts
+from clgs.lab import kernels as limits
+from clgs.lab.figures import machine_facts
+from clgs.lab.scenes import ExactRandom
 from clgs.lab.selftest import SHIPPED
 from clgs.lab.selftest.conformance import differences, fingerprints, from_record, to_record
-from clgs.lab.selftest.exact_scenes import ExactRandom
 from clgs.opencl.device import Device
 from clgs.opencl.source import programs_of_form, read_program
 from tests.house.rules import kernels_in
@@ -124,7 +124,7 @@ def test_wrong_roundings_are_told_beside_differences(found, tmp_path, capsys, mo
         values[0, :7] = np.nextafter(values[0, :7], np.float32(9))
         return device.upload(values)
 
-    monkeypatch.setattr("clgs.lab.limit_kernels.rounding", careless)
+    monkeypatch.setattr("clgs.lab.kernels.rounding", careless)
     assert main(["conformance", "--check", str(tmp_path / "other.json")]) == 1
     out = capsys.readouterr().out
     assert "note: division: 7 of 5000 not as IEEE 754 rounds them" in out

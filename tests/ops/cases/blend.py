@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from clgs.lab.observed_kernels import blend_decisions
+from clgs.lab.kernels import blend_decisions
 from clgs.ops import blend, tiles
 from clgs.ops.project import Projected
 from clgs.options import DEFAULT, RenderOptions

@@ -10,7 +10,7 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from clgs.constants import K_OFFSETS
 from clgs.errors import ClgsError
-from clgs.lab.anchor_scene import anchor_scene
+from clgs.lab.scenes import anchor_scene
 from clgs.render.frame import upload_scene, upload_view
 from clgs.render.rasterise import rasterise
 from clgs.scene.anchors import QuantizationScales, quantize

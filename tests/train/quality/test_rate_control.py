@@ -14,7 +14,7 @@ from clgs.data.images import Pixels
 from clgs.data.stored_photo import StoredPhoto
 from clgs.data.view import View
 from clgs.errors import UsageError
-from clgs.lab.anchor_scene import anchor_scene
+from clgs.lab.scenes import anchor_scene
 from clgs.opencl.device import Device
 from clgs.options import DEFAULT
 from clgs.render.frame import upload_scene

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clgs.constants import K_OFFSETS
-from clgs.lab.anchor_scene import anchor_scene
+from clgs.lab.scenes import anchor_scene
 from clgs.lab.selftest.reference_render import render_reference
 from clgs.reference import blend
 from clgs.render.frame import upload_scene, upload_view

@@ -11,7 +11,7 @@ import pytest
 from clgs.data.images import Pixels
 from clgs.data.stored_photo import StoredPhoto
 from clgs.data.view import View
-from clgs.lab.anchor_scene import anchor_scene
+from clgs.lab.scenes import anchor_scene
 from clgs.opencl.device import Device
 from clgs.ops import loss
 from clgs.render.frame import EXACT_ROOM, DeviceScene, Frame, Room, upload_scene, upload_view

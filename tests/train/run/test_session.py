@@ -14,7 +14,7 @@ import pytest
 
 import clgs
 from clgs.errors import DataError, ExistsError, UsageError
-from clgs.lab.anchor_scene import anchor_scene
+from clgs.lab.scenes import anchor_scene
 from clgs.train.config import preset
 from clgs.train.run.session import train_scene
 from tests.codec.scenes import random_scene

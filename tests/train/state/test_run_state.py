@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.lab.anchor_scene import anchor_scene
+from clgs.lab.scenes import anchor_scene
 from clgs.ops.rate import forward
 from clgs.scene.anchors import QuantizationScales
 from clgs.train.config import TrainConfig

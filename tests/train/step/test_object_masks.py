@@ -17,7 +17,7 @@ from clgs.data.reduction import IGNORE, MEANINGS, OBJECT
 from clgs.data.stored_photo import StoredPhoto
 from clgs.data.view import View
 from clgs.errors import DataError
-from clgs.lab.anchor_scene import anchor_scene
+from clgs.lab.scenes import anchor_scene
 from clgs.lab.selftest.reference_render import backward_reference, render_reference
 from clgs.ops import loss
 from clgs.reference import loss as loss_reference

@@ -10,7 +10,7 @@ import pytest
 from clgs.data.images import Pixels
 from clgs.data.stored_photo import PhotoMemory, StoredPhoto
 from clgs.data.view import View
-from clgs.lab.anchor_scene import square_camera
+from clgs.lab.scenes import square_camera
 from clgs.train.config import preset
 from clgs.train.step.look import TrainingPhotos
 from clgs.train.step.schedule import reduction

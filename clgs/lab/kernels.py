@@ -1,7 +1,9 @@
-"""Kernels that ask what a device can do: stages are measured against them.
+"""Kernels that only the laboratory builds: what a device can do, and what stages decide.
 
-copy: target = source. fma: CHAINS independent chains x <- x factor + term per lane, starting
-at (1 .. CHAINS) / 8, and their sum. rounding: the operations whose last bit drivers disagree about.
+Limits, against which stages are measured. copy: target = source. fma: CHAINS independent chains
+x <- x factor + term per lane, starting at (1 .. CHAINS) / 8, and their sum. rounding: the
+operations whose last bit drivers disagree about. Decisions come from builds of the blending that
+say so, and from outputs of the MLPs.
 """
 
 from __future__ import annotations
@@ -9,9 +11,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from clgs.constants import HEAD_DIMS, K_OFFSETS, TILE_SIZE
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.opencl.grid import ANY_GROUP, by_items
+from clgs.ops import blend, mlp
+from clgs.reference.blend import Decisions
 from clgs.shapes import Shapes
 
 CHAINS = 6
@@ -91,3 +96,32 @@ def exact_rounding(
     """
     product = (x * y).astype(np.float32).astype(np.float64)
     return np.stack([x / y, np.sqrt(y), product + z, x * y + z]).astype(np.float32)
+
+
+def blend_decisions(
+    device: Device, blended: blend.Blended, d_image: DeviceArray
+) -> tuple[Decisions, Decisions]:
+    """What the forward and what the backward kernel decide; slow."""
+    words = (len(blended.tiles.gaussian), TILE_SIZE**2 // 32)
+    found = []
+    for kernel, arguments in blend.observed_passes(device, blended, d_image, EXPORT_DECISIONS=1):
+        bits = {name: device.zeros(words, np.uint32) for name in ("blended", "clamped")}
+        device.run(kernel, *blend.tile_grid(device, blended.tiles), **arguments, **bits)
+        words_of = (device.download(one)[:, :, None] for one in bits.values())
+        taken = (one >> np.arange(32, dtype=np.uint32) & np.uint32(1) for one in words_of)
+        found.append(Decisions(*(one.reshape(-1, TILE_SIZE**2).astype(bool) for one in taken)))
+    return found[0], found[1]
+
+
+def drawn_rows(output: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
+    """Which outputs (110, V) of the MLPs are ever read: opacities, and the rows of drawn slots."""
+    drawn = output[:K_OFFSETS] > 0
+    color, covariance = (HEAD_DIMS[name] // K_OFFSETS for name in ("color", "covariance"))
+    rows = [np.ones_like(drawn), np.repeat(drawn, color, 0), np.repeat(drawn, covariance, 0)]
+    return np.concatenate(rows)
+
+
+def drawn_output(device: Device, activations: mlp.Activations) -> npt.NDArray[np.float32]:
+    """Host copy (110, V) of the MLPs' outputs, zero for those that are never read."""
+    output = device.download(activations.output)[:, : len(activations.visible)]
+    return np.where(drawn_rows(output), output, np.float32(0))

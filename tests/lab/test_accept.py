@@ -12,10 +12,18 @@ import pytest
 from clgs.cli import main as cli
 from clgs.data.dataset import load_dataset
 from clgs.errors import ClgsError
-from clgs.lab.accept import trial as trial_module
-from clgs.lab.accept.photos import VIEWS, write_photos
-from clgs.lab.accept.trial import FORMAT, Trial, run_trial, run_trials
-from clgs.lab.accept.trials import QUICK, WHOLE, trials
+from clgs.lab import accept as trial_module
+from clgs.lab.accept import (
+    FORMAT,
+    QUICK,
+    VIEWS,
+    WHOLE,
+    Trial,
+    run_trial,
+    run_trials,
+    trials,
+    write_photos,
+)
 
 DEVICE = {"index": 0, "name": "cpu", "platform": "PoCL", "driver": "1"}
 HELP = Trial("help", ("--version",), lambda folder: "it runs")
