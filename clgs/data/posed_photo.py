@@ -1,9 +1,10 @@
-"""Photos with poses, in the world units of their data set: what all readers give."""
+"""Photos with poses, in the world units of their data set: what all readers give; as JSON, too."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -121,3 +122,24 @@ def to_y_up(kind: str, frame: float) -> npt.NDArray[np.float64]:
     if kind in Y_UP:
         return np.eye(3)
     return np.array(_FROM_Y_DOWN if kind == "colmap" else _FROM_Z_UP)
+
+
+def to_plain(photo: Photo) -> dict[str, Any]:
+    """Convert a photo to texts, numbers and lists."""
+    arrays = {"rotation": photo.rotation.tolist(), "translation": photo.translation.tolist()}
+    mask = None if photo.mask is None else str(photo.mask)
+    files = {"path": str(photo.path), "mask": mask}
+    return {"name": photo.name, "lens": asdict(photo.lens), **files, **arrays}
+
+
+def from_plain(plain: dict[str, Any]) -> Photo:
+    """Make a photo of what :func:`to_plain` returned."""
+    lens: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in plain["lens"].items()
+    }
+    rotation, translation = (
+        np.array(plain[name], np.float64) for name in ("rotation", "translation")
+    )
+    mask = None if plain["mask"] is None else Path(plain["mask"])
+    return Photo(plain["name"], Path(plain["path"]), Lens(**lens), rotation, translation, mask)

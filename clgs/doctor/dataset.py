@@ -18,7 +18,7 @@ from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, errors_first, fro
 from clgs.doctor.pictures import check_pictures, damaged
 from clgs.errors import DataError
 from clgs.files import in_any_case
-from clgs.poses.input.find import find_photos
+from clgs.poses.find import find_photos
 
 FILES = ("transforms_train.json", "transforms_test.json", "transforms.json")
 

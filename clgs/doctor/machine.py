@@ -17,7 +17,7 @@ import numpy as np
 from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, errors_first
 from clgs.errors import ClgsError, UsageError
 from clgs.machine import available_memory, host_facts
-from clgs.poses.child import import_problem
+from clgs.poses.pycolmap_child import import_problem
 
 if TYPE_CHECKING:
     from clgs.opencl.device import Device

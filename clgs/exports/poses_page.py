@@ -17,8 +17,8 @@ from clgs.data.colmap.model import read_colmap
 from clgs.data.posed_photo import Photo, PhotoSet
 from clgs.exports.report import cards, facts_table, html_page
 from clgs.files import atomic_write, text_bytes
-from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict
 from clgs.poses.prepare import CELL, COLUMNS, CONTACT_SHEET
+from clgs.poses.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict
 
 OWN_STYLE = """\
 .good { --status: #2e8b57; } .doubtful { --status: #d98200; } .left { --status: #c53030; }

@@ -8,9 +8,8 @@ from typing import Any
 
 from clgs.data.masks import MASKS
 from clgs.errors import DataError
-from clgs.poses.child import OnStage, run_child
-from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, Verdict, point_figures
-from clgs.poses.pycolmap_lazy import quiet_pycolmap
+from clgs.poses.pycolmap_child import OnStage, quiet_pycolmap, run_child
+from clgs.poses.verdict import DOUBTFUL, GOOD, LEFT_OUT, Verdict, point_figures
 
 LEAST_GOOD = 3
 """The least photos of a data set."""

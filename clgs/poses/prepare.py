@@ -17,20 +17,20 @@ from clgs.data.colmap.model import WORLD
 from clgs.data.images import read_image
 from clgs.errors import DataError, ExistsError, OutputError
 from clgs.files import atomic_folder, check_folder, is_full
+from clgs.poses.bring_in import LEAST_PHOTOS, bring_in, find_source
 from clgs.poses.drop import drop_doubtful as drop_doubtful_photos
-from clgs.poses.finished import Finished
-from clgs.poses.input.bring_in import LEAST_PHOTOS, bring_in, find_source
-from clgs.poses.input.known import Known, add_photos, read_known
-from clgs.poses.judging.verdict import Verdict
-from clgs.poses.pycolmap_lazy import SEEDS
+from clgs.poses.known import Known, add_photos, read_known
+from clgs.poses.pycolmap_child import SEEDS
 from clgs.poses.reconstruct import reconstruct
 from clgs.poses.unfinished import (
+    Finished,
     digest_of,
     kept_pieces,
     owned,
     remove_leftovers,
     removed_if_killed,
 )
+from clgs.poses.verdict import Verdict
 from clgs.poses.workspace import OnProgress
 
 _log = logging.getLogger(__name__)

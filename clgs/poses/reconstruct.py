@@ -20,11 +20,11 @@ from clgs.data.images import image_size
 from clgs.data.masks import MASKS, save_mask
 from clgs.errors import DataError
 from clgs.opencl.device import Device
-from clgs.poses.child import CrashError, OnStage, run_child
-from clgs.poses.finished import Finished
-from clgs.poses.input.bring_in import camera_numbers
-from clgs.poses.input.gps import fit, read_positions
-from clgs.poses.input.known import (
+from clgs.poses.bring_in import camera_numbers
+from clgs.poses.evidence import MAX_CONTRADICTED, ModelChoice, poses_of
+from clgs.poses.gps import fit, read_positions
+from clgs.poses.judge import judge, unconfirmed
+from clgs.poses.known import (
     Known,
     contradiction,
     fitting,
@@ -32,17 +32,15 @@ from clgs.poses.input.known import (
     set_lenses,
     to_given_world,
 )
-from clgs.poses.judging.agreement import poses_of
-from clgs.poses.judging.evidence import MAX_CONTRADICTED, ModelChoice
-from clgs.poses.judging.judge import judge, unconfirmed
-from clgs.poses.judging.verdict import Verdict, point_figures, verdict_of
-from clgs.poses.pycolmap_lazy import quiet_pycolmap
+from clgs.poses.pycolmap_child import CrashError, OnStage, quiet_pycolmap, run_child
 from clgs.poses.stages.check import Check
 from clgs.poses.stages.features import extract
 from clgs.poses.stages.mapping import ask_all_mappers, look_again, map_photos
 from clgs.poses.stages.matching import match, match_in_full, read_evidence
 from clgs.poses.stages.more_points import STAGE, add_points
 from clgs.poses.stages.pairs import pairs_to_match
+from clgs.poses.unfinished import Finished
+from clgs.poses.verdict import Verdict, point_figures, verdict_of
 from clgs.poses.workspace import OnProgress, Workspace
 from clgs.scene.world import EARTH, LOCAL, NOWHERE, Place, to_text
 

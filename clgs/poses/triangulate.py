@@ -28,13 +28,11 @@ from clgs.data.images import read_image
 from clgs.data.lens import Lens
 from clgs.data.masks import read_mask, save_mask
 from clgs.data.photo_cache import FOLDER, forget_oldest
-from clgs.data.posed_photo import Photo
+from clgs.data.posed_photo import Photo, from_plain, to_plain
 from clgs.errors import ClgsError, DataError
 from clgs.files import atomic_path, cache_folder, make_folder, text_bytes
-from clgs.poses.child import OnStage, run_child
-from clgs.poses.input.photo_json import from_plain, to_plain
-from clgs.poses.judging.evidence import sampson_error
-from clgs.poses.pycolmap_lazy import SEEDS, quiet_pycolmap
+from clgs.poses.evidence import sampson_error
+from clgs.poses.pycolmap_child import SEEDS, OnStage, quiet_pycolmap, run_child
 from clgs.scene.storage import load_archive
 
 Floats = npt.NDArray[np.float64]

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from clgs.data.posed_photo import Photo
 from clgs.opencl.device import Device
-from clgs.poses.finished import Finished
+from clgs.poses.unfinished import Finished
 
 STAGES = (
     *("read", "features", "matches", "geometry", "poses", "other poses", "second look"),

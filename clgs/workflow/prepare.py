@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from clgs.exports.poses_page import write_poses_page
-from clgs.poses.judging.verdict import Verdict
 from clgs.poses.prepare import prepare
+from clgs.poses.verdict import Verdict
 from clgs.workflow.events import OnEvent, StageProgress, ignore
 
 PAGE = "report.html"

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from clgs.opencl.device import Device
 from clgs.ops.match import upload
-from clgs.poses.pycolmap_lazy import quiet_pycolmap
+from clgs.poses.pycolmap_child import quiet_pycolmap
 from clgs.poses.stages.matching import MAX_RATIO, mutual_matches, turn_and_scale
 
 Bytes = npt.NDArray[np.uint8]

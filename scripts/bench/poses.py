@@ -32,13 +32,13 @@ from PIL import Image, ImageFilter
 from clgs.data.dataset import load_dataset
 from clgs.errors import ClgsError
 from clgs.opencl.device import Device
-from clgs.poses.judging.agreement import Poses, differences
-from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, Verdict, verdict_of
+from clgs.poses.evidence import Poses, differences
 from clgs.poses.prepare import prepare
-from clgs.poses.pycolmap_lazy import quiet_pycolmap
+from clgs.poses.pycolmap_child import quiet_pycolmap
 from clgs.poses.stages import matching
 from clgs.poses.stages.features import extract
 from clgs.poses.stages.pairs import all_pairs
+from clgs.poses.verdict import DOUBTFUL, GOOD, LEFT_OUT, Verdict, verdict_of
 from clgs.poses.workspace import Workspace
 from clgs.scene.camera import Camera
 

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from clgs.data.colmap.model import read_colmap
-from clgs.poses.judging.agreement import Poses, differences
-from clgs.poses.judging.evidence import MAX_CONTRADICTED
-from clgs.poses.judging.verdict import GOOD
+from clgs.poses.evidence import MAX_CONTRADICTED, Poses, differences
 from clgs.poses.prepare import prepare
+from clgs.poses.verdict import GOOD
 
 
 def poses(views) -> Poses:

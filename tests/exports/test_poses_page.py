@@ -11,8 +11,8 @@ from PIL import Image
 from clgs.data.lens import Lens
 from clgs.data.posed_photo import Photo, PhotoSet
 from clgs.exports.poses_page import poses_html
-from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict
 from clgs.poses.prepare import CELL, COLUMNS, contact_sheet
+from clgs.poses.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict
 from tests.data.folders import ring, write_noise
 
 NAMES = ["a.jpg", "b & <b>.jpg", "c.jpg"]

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from clgs.errors import DataError
-from clgs.poses.child import CrashError, run_child
+from clgs.poses.pycolmap_child import CrashError, run_child
 
 MODULE = """
 import atexit, os, time
@@ -26,16 +26,16 @@ def work(arguments, on_stage):
     return 42
 """
 PARENT = """
-from clgs.poses.child import run_child
+from clgs.poses.pycolmap_child import run_child
 run_child("{module}", "a test", [{folder!r}, 3600], lambda stage: print(stage, flush=True))
 """
 NESTED = """
-from clgs.poses.child import run_child
+from clgs.poses.pycolmap_child import run_child
 def work(arguments, on_stage):
     return run_child("child_work", "a nested test", arguments, on_stage)
 """
 USER = """
-from clgs.poses.pycolmap_lazy import quiet_pycolmap
+from clgs.poses.pycolmap_child import quiet_pycolmap
 def work(arguments, on_stage):
     with quiet_pycolmap("a test"):
         pass
@@ -77,7 +77,7 @@ def test_a_result_keeps_what_was_made(folder: Path):
 
 def test_a_child_leaves_no_file_open(monkeypatch: pytest.MonkeyPatch, capfd):
     monkeypatch.setenv("PYTHONWARNINGS", "always")
-    program = "from clgs.poses.child import serve; serve(lambda *_: 42)"
+    program = "from clgs.poses.pycolmap_child import serve; serve(lambda *_: 42)"
     with subprocess.Popen(
         [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as child:

@@ -14,8 +14,8 @@ from clgs.cli.main import main
 from clgs.data.dataset import load_dataset
 from clgs.errors import DataError
 from clgs.poses.drop import drop_doubtful
-from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict, verdict_of
 from clgs.poses.reconstruct import reconstruct
+from clgs.poses.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, Verdict, verdict_of
 from tests.data.folders import write_room_photos
 
 PHOTOS = 7

@@ -12,8 +12,8 @@ from PIL import Image
 from clgs.cli.main import explain, main
 from clgs.data.dataset import load_dataset
 from clgs.errors import DataError, ExistsError, OutputError
-from clgs.poses.judging.verdict import GOOD, verdict_of
 from clgs.poses.prepare import prepare
+from clgs.poses.verdict import GOOD, verdict_of
 from clgs.poses.workspace import STAGES
 from tests.data.folders import noise_image, write_noise, write_room_photos
 

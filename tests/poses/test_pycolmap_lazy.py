@@ -10,7 +10,7 @@ import pytest
 
 START = """
 import os, signal
-from clgs.poses.pycolmap_lazy import quiet_pycolmap
+from clgs.poses.pycolmap_child import quiet_pycolmap
 for number in (signal.SIGINT, signal.SIGTERM):  # in the background SIGINT may come ignored
     signal.signal(number, signal.default_int_handler)
 try:

@@ -14,7 +14,7 @@ import pytest
 
 from clgs.errors import DataError
 from clgs.poses import reconstruct
-from clgs.poses.input.known import Known
+from clgs.poses.known import Known
 from tests.data.folders import write_noise
 from tests.terminal import as_from_a_terminal
 

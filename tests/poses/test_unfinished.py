@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from clgs.errors import DataError
-from clgs.poses.child import CrashError
+from clgs.poses.pycolmap_child import CrashError
 from clgs.poses.unfinished import (
     HINT,
     OWNER,

@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
 
 def show(made: PreparedData) -> None:
     """Print the verdict."""
-    from clgs.poses.judging.verdict import DOUBTFUL, LEFT_OUT
+    from clgs.poses.verdict import DOUBTFUL, LEFT_OUT
 
     verdict = made.verdict
     print(

@@ -13,13 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.machine import available_memory
-from clgs.poses.child import CrashError
-from clgs.poses.judging.evidence import (
+from clgs.poses.evidence import (
     MAX_CONTRADICTED,
     MIN_MATCHES,
     Evidence,
     ModelChoice,
 )
+from clgs.poses.pycolmap_child import CrashError
 from clgs.poses.stages.mapping import (
     MANY,
     STRONG,

@@ -10,8 +10,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
-from clgs.poses.child import OnStage, run_child
-from clgs.poses.pycolmap_lazy import quiet_pycolmap
+from clgs.poses.pycolmap_child import OnStage, quiet_pycolmap, run_child
 from clgs.poses.workspace import Workspace
 
 GLOBAL = "global"

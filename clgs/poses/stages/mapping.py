@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from clgs.errors import DataError
-from clgs.poses.input.known import map_known
-from clgs.poses.judging.evidence import (
+from clgs.poses.evidence import (
     MAX_CONTRADICTED,
     STRONG_PAIR,
     Evidence,
@@ -18,7 +17,8 @@ from clgs.poses.judging.evidence import (
     ModelChoice,
     explain,
 )
-from clgs.poses.judging.judge import LOW_RATIO, MAX_DROPPED
+from clgs.poses.judge import LOW_RATIO, MAX_DROPPED
+from clgs.poses.known import map_known
 from clgs.poses.stages.global_mapper import GLOBAL, MIN_MODEL, map_globally
 from clgs.poses.stages.matching import match_again, read_evidence
 from clgs.poses.workspace import Workspace

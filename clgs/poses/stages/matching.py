@@ -16,7 +16,7 @@ import numpy.typing as npt
 from clgs.opencl.device import Device
 from clgs.ops import match as nearest_descriptors
 from clgs.ops.match import MAX_DESCRIPTORS, Descriptors, Nearest
-from clgs.poses.judging.evidence import LINKS, MIN_MATCHES, Evidence, MatchedPair
+from clgs.poses.evidence import LINKS, MIN_MATCHES, Evidence, MatchedPair
 from clgs.poses.stages.pairs import all_pairs
 from clgs.poses.stages.verify import verify
 from clgs.poses.workspace import Workspace

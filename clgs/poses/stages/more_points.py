@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from clgs.ops.match import upload
-from clgs.poses.judging.evidence import Evidence, sampson_error
+from clgs.poses.evidence import Evidence, sampson_error
 from clgs.poses.stages.matching import MAX_RATIO, Matches, Pair, by_tiles, mutual_matches
 from clgs.poses.workspace import Workspace
 

@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from clgs.poses.child import OnStage, run_child
-from clgs.poses.judging.evidence import MIN_MATCHES
-from clgs.poses.pycolmap_lazy import quiet_pycolmap
+from clgs.poses.evidence import MIN_MATCHES
+from clgs.poses.pycolmap_child import OnStage, quiet_pycolmap, run_child
 from clgs.poses.workspace import THREADS, Workspace
 
 MOST_PROCESSES = 8

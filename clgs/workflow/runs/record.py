@@ -12,8 +12,8 @@ from clgs.data.dataset import Dataset, is_posed, load_dataset, read_photo_set
 from clgs.data.masks import meaning_of
 from clgs.errors import DataError, ExistsError, UsageError
 from clgs.files import write_json
-from clgs.poses.input.bring_in import find_source, readable_sizes
-from clgs.poses.input.video import frame_size
+from clgs.poses.bring_in import find_source, readable_sizes
+from clgs.poses.video import frame_size
 from clgs.train.config.option import FLAGS
 from clgs.train.config.settings import BLENDER
 from clgs.train.run.load import must_triangulate

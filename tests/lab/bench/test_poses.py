@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from clgs.errors import DataError
-from clgs.poses.judging.verdict import DOUBTFUL, GOOD, PhotoVerdict, Verdict
+from clgs.poses.verdict import DOUBTFUL, GOOD, PhotoVerdict, Verdict
 from scripts.bench.poses import (
     QUARTER,
     apart,

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from clgs.opencl.device import Device
-from clgs.poses.pycolmap_lazy import quiet_pycolmap
+from clgs.poses.pycolmap_child import quiet_pycolmap
 from clgs.poses.stages.features import extract
 from clgs.poses.workspace import OnProgress, Workspace
 from tests.data.folders import write_room_photos

@@ -17,15 +17,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from clgs.poses import child, reconstruct
-from clgs.poses.finished import Finished
-from clgs.poses.input.known import Known
-from clgs.poses.judging.agreement import differences, poses_of
-from clgs.poses.judging.evidence import Evidence, MappedModel, MatchedPair, explain
+from clgs.poses import pycolmap_child, reconstruct
+from clgs.poses.evidence import Evidence, MappedModel, MatchedPair, differences, explain, poses_of
+from clgs.poses.known import Known
 from clgs.poses.stages import check, mapping, matching
 from clgs.poses.stages.global_mapper import GLOBAL
 from clgs.poses.stages.mapping import MANY, map_by, map_photos, replace_doubtful
 from clgs.poses.stages.pairs import pairs_to_match
+from clgs.poses.unfinished import Finished
 from tests.poses.stages.room import room_workspace
 
 PHOTOS, FEATURES = 4, 5
@@ -134,14 +133,14 @@ def test_a_check_that_is_given_up_ends_the_global_mapper(reconstructed, monkeypa
     with check.Check() as given_up:
         given_up.begin_early(workspace, choice.evidence)
     assert given_up._made.done()
-    assert not child._running
+    assert not pycolmap_child._running
 
 
 def kill_the_global_mapper(most):
     """Kill ``most`` global mappers as soon as they run, as a system without free memory does."""
     killed, end = list[int](), time.monotonic() + HANG
     while len(killed) < most and time.monotonic() < end:
-        for mapper in [one for one in list(child._running) if one.pid not in killed]:
+        for mapper in [one for one in list(pycolmap_child._running) if one.pid not in killed]:
             mapper.kill()
             killed.append(mapper.pid)
         time.sleep(0.01)
@@ -165,13 +164,13 @@ def test_a_mapper_that_was_killed_next_to_the_other_is_asked_once_more(reconstru
         assert not tested.give_up()
         tested.begin_early(plain, choice.evidence)
         assert tested.give_up()
-        assert not child._running
+        assert not pycolmap_child._running
         assert np.array_equal(poses_of(tested.model(plain, asked)).centre, expected)
     killer = threading.Thread(target=kill_the_global_mapper, args=[2])
     with check.Check() as tested:
         tested.begin_early(plain, choice.evidence)
         killer.start()
-        with pytest.raises(child.CrashError, match="enough memory"):
+        with pytest.raises(pycolmap_child.CrashError, match="enough memory"):
             tested.model(plain, asked)
     killer.join()
 

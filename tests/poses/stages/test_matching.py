@@ -12,7 +12,7 @@ from PIL import Image
 from clgs.errors import DataError
 from clgs.opencl.device import Device
 from clgs.ops import match as nearest_descriptors
-from clgs.poses.pycolmap_lazy import quiet_pycolmap
+from clgs.poses.pycolmap_child import quiet_pycolmap
 from clgs.poses.stages import matching, verify
 from clgs.poses.stages.features import extract
 from clgs.poses.stages.pairs import pairs_to_match

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clgs.poses.judging.agreement import Poses, common_similarity, poses_of
+from clgs.poses.evidence import Poses, common_similarity, poses_of
 from clgs.poses.stages import matching
 from clgs.poses.stages.mapping import map_photos
 from clgs.poses.stages.more_points import MAX_REPROJECTION_ERROR, add_points

@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
 from clgs.errors import DataError
-from clgs.poses.stages import features, sift
+from clgs.poses.stages import features
 
 cv2 = pytest.importorskip("cv2")
 
@@ -34,8 +34,8 @@ def nearest(found, expected):
 
 
 def test_a_picture_that_is_turned_has_its_features_where_they_were(picture):
-    keypoints, _ = sift.find(cv2, picture, None, MANY)
-    turned, _ = sift.find(cv2, np.rot90(picture).copy(), None, MANY)
+    keypoints, _ = features.find_sift(cv2, picture, None, MANY)
+    turned, _ = features.find_sift(cv2, np.rot90(picture).copy(), None, MANY)
     # a quarter to the left: (x, y) is at (y, width - x) in pixels whose first centre is 0.5
     back = np.stack([picture.shape[1] - turned[:, 1], turned[:, 0]], axis=1)
     distance, difference = nearest(back, keypoints[:, :2])
@@ -46,9 +46,9 @@ def test_a_picture_that_is_turned_has_its_features_where_they_were(picture):
 
 
 def test_shape_turns_and_grows_with_the_picture(picture):
-    keypoints, _ = sift.find(cv2, picture, None, MANY)
+    keypoints, _ = features.find_sift(cv2, picture, None, MANY)
     large = np.asarray(Image.fromarray(picture).resize((640, 480), Image.Resampling.BICUBIC))
-    turned, _ = sift.find(cv2, np.rot90(large).copy(), None, MANY)
+    turned, _ = features.find_sift(cv2, np.rot90(large).copy(), None, MANY)
     back = np.stack([picture.shape[1] - turned[:, 1] / 2, turned[:, 0] / 2], axis=1)
     distance, index = cKDTree(keypoints[:, :2]).query(back)
     near = distance < 0.2
@@ -71,7 +71,7 @@ def test_features_are_those_of_pycolmap(picture, tmp_path):
     with pycolmap.Database.open(tmp_path / "a.db") as database:
         theirs = np.asarray(database.read_keypoints(1), np.float64)
         described = np.asarray(database.read_descriptors(1).data, np.float64)
-    keypoints, descriptors = sift.find(cv2, picture, None, MANY)
+    keypoints, descriptors = features.find_sift(cv2, picture, None, MANY)
     distance, difference = nearest(keypoints[:, :2], theirs[:, :2])
     assert (distance < 0.5).mean() > 0.8
     assert np.abs(difference[distance < 0.5].mean(axis=0)).max() < 0.05
@@ -82,7 +82,7 @@ def test_features_are_those_of_pycolmap(picture, tmp_path):
         np.hstack([keypoints[:, :2], 4 * own])
     )
     same = gap < 0.5
-    product = (descriptors[same] * described[index[same]]).sum(axis=1) / sift.LENGTH**2
+    product = (descriptors[same] * described[index[same]]).sum(axis=1) / features.LENGTH**2
     scale = np.linalg.norm(keypoints[same, 2:], axis=1) / np.linalg.norm(
         theirs[index[same], 2:], axis=1
     )
@@ -92,15 +92,15 @@ def test_features_are_those_of_pycolmap(picture, tmp_path):
 
 
 def test_descriptors_have_one_length(picture):
-    _, descriptors = sift.find(cv2, picture, None, MANY)
+    _, descriptors = features.find_sift(cv2, picture, None, MANY)
     assert descriptors.dtype == np.uint8
     length = np.linalg.norm(descriptors.astype(float), axis=1)
-    assert np.abs(length / sift.LENGTH - 1).max() < 0.02
+    assert np.abs(length / features.LENGTH - 1).max() < 0.02
 
 
 def test_the_largest_ones_are_kept(picture):
-    every, described = sift.find(cv2, picture, None, MANY)
-    some, some_described = sift.find(cv2, picture, None, 50)
+    every, described = features.find_sift(cv2, picture, None, MANY)
+    some, some_described = features.find_sift(cv2, picture, None, 50)
     scales = np.linalg.norm(every[:, 2:], axis=1)
     assert len(some) == 50
     assert np.linalg.norm(some[:, 2:], axis=1).min() >= np.sort(scales)[-50] - 1e-4
@@ -111,9 +111,9 @@ def test_the_largest_ones_are_kept(picture):
 def test_nothing_is_found_in_masked_and_in_flat_parts(picture):
     mask = np.zeros_like(picture)
     mask[:, 100:] = 255
-    keypoints, _ = sift.find(cv2, picture, mask, MANY)
+    keypoints, _ = features.find_sift(cv2, picture, mask, MANY)
     assert keypoints[:, 0].min() >= 100
-    flat, descriptors = sift.find(cv2, np.full_like(picture, 7), None, MANY)
+    flat, descriptors = features.find_sift(cv2, np.full_like(picture, 7), None, MANY)
     assert (flat.shape, descriptors.shape) == ((0, 6), (0, 128))
 
 
@@ -125,7 +125,7 @@ def test_a_reduced_photo_has_its_features_in_pixels_of_the_whole(picture, tmp_pa
     mask[:, 200:] = 255
     Image.fromarray(mask).save(tmp_path / "mask.png")
     keypoints, _ = features._find(cv2, tmp_path / "a.png", tmp_path / "mask.png", shrink, MANY)
-    plain, _ = sift.find(cv2, picture, None, MANY)
+    plain, _ = features.find_sift(cv2, picture, None, MANY)
     _, difference = nearest(plain[plain[:, 0] > 110, :2] * 2, keypoints[:, :2])
     near = np.abs(difference).max(axis=1) < 1
     assert keypoints[:, 0].min() >= 199
@@ -136,4 +136,4 @@ def test_a_reduced_photo_has_its_features_in_pixels_of_the_whole(picture, tmp_pa
 def test_a_missing_opencv_is_one_line(monkeypatch):
     monkeypatch.setitem(sys.modules, "cv2", None)
     with pytest.raises(DataError, match=r"^features: OpenCV cannot .* opencv-python-headless$"):
-        sift.opencv("features")
+        features.opencv("features")

@@ -12,7 +12,7 @@ from PIL import Image
 
 from clgs.data.images import read_image
 from clgs.errors import DataError
-from clgs.poses.input.bring_in import bring_in, camera_numbers, find_source
+from clgs.poses.bring_in import bring_in, camera_numbers, find_source
 from tests.data.folders import noise_image, room_image, room_poses
 
 DETAILS, ORIENTATION = 0x8769, 0x0112

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from clgs.poses.judging.evidence import LINKS, Evidence, Explained, MatchedPair
+from clgs.poses.evidence import LINKS, Evidence, Explained, MatchedPair
 
 
 def pair(first: int, second: int, count: int) -> MatchedPair:

@@ -10,9 +10,17 @@ from PIL import Image
 
 from clgs.data.images import Pixels
 from clgs.errors import DataError
-from clgs.poses.input.bring_in import bring_in, camera_numbers, find_source, readable_sizes
-from clgs.poses.input.equirectangular import DIRECTIONS, cut, is_marked, view_size
-from clgs.poses.input.find import find_photos
+from clgs.poses.bring_in import (
+    DIRECTIONS,
+    bring_in,
+    camera_numbers,
+    cut,
+    find_source,
+    is_marked,
+    readable_sizes,
+    view_size,
+)
+from clgs.poses.find import find_photos
 
 XMP = (
     b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:Description '

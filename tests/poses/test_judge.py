@@ -9,18 +9,26 @@ from typing import Any
 import numpy as np
 import pytest
 
-from clgs.poses.judging.agreement import PoseDifference, angle, poses_of
-from clgs.poses.judging.evidence import Evidence, Explained, MappedModel, MatchedPair, ModelChoice
-from clgs.poses.judging.judge import (
+from clgs.poses.evidence import (
+    Evidence,
+    Explained,
+    MappedModel,
+    MatchedPair,
+    ModelChoice,
+    PoseDifference,
+    angle,
+    poses_of,
+)
+from clgs.poses.judge import (
     is_ambiguous,
     judge,
     judge_photos,
     leave_out_parts,
     photo_figures,
 )
-from clgs.poses.judging.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, verdict_of
 from clgs.poses.stages.global_mapper import GLOBAL
 from clgs.poses.stages.mapping import INCREMENTAL
+from clgs.poses.verdict import DOUBTFUL, GOOD, LEFT_OUT, PhotoVerdict, verdict_of
 
 SOUND = PhotoVerdict("", GOOD, 800, 0.97, 4.5, 0.6, 10.0, 8.0)
 SAME, OTHER = PoseDifference(0.05, 0.1), PoseDifference(150.0, 40.0)

@@ -18,12 +18,10 @@ import numpy.typing as npt
 from clgs.data.dataset import read_photo_set
 from clgs.data.images import image_size
 from clgs.data.lens import Lens
-from clgs.data.posed_photo import Photo, to_y_up
+from clgs.data.posed_photo import Photo, from_plain, to_plain, to_y_up
 from clgs.errors import DataError
-from clgs.poses.input.find import Collection, Found, new_name
-from clgs.poses.input.photo_json import from_plain, to_plain
-from clgs.poses.judging.agreement import Poses, angle, common_similarity, differences, poses_of
-from clgs.poses.judging.evidence import Evidence
+from clgs.poses.evidence import Evidence, Poses, angle, common_similarity, differences, poses_of
+from clgs.poses.find import Collection, Found, new_name
 from clgs.poses.workspace import Workspace
 from clgs.scene.world import EARTH, LOCAL, MAP, NOWHERE, Place
 

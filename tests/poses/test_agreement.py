@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from clgs.poses.judging.agreement import Poses, angle, differences
+from clgs.poses.evidence import Poses, angle, differences
 
 
 def poses(count: int, seed: int = 0) -> Poses:

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from clgs.errors import DataError
-from clgs.poses.input.find import find_photos, is_video
+from clgs.poses.find import find_photos, is_video
 from tests.data.folders import noise_image
 
 

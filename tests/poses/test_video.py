@@ -12,8 +12,8 @@ from PIL import Image
 from scipy.ndimage import uniform_filter
 
 from clgs.errors import DataError
-from clgs.poses.input.bring_in import find_source
-from clgs.poses.input.video import extract_frames, frame_size, sharpness
+from clgs.poses.bring_in import find_source
+from clgs.poses.video import extract_frames, frame_size, sharpness
 from tests.data.folders import noise_image, write_noise
 
 imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from clgs.data.images import open_image, read_exif
 from clgs.data.programs.earth import axes_at, geocentric
-from clgs.poses.judging.agreement import Poses
+from clgs.poses.evidence import Poses
 from clgs.poses.workspace import Workspace
 from clgs.scene.world import EARTH, NOWHERE, Place, is_world
 

@@ -11,9 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from clgs.poses.judging.agreement import PoseDifference, Poses, angle, differences, poses_of
-from clgs.poses.judging.evidence import MAX_CONTRADICTED, Explained, ModelChoice
-from clgs.poses.judging.verdict import (
+from clgs.poses.evidence import (
+    MAX_CONTRADICTED,
+    Explained,
+    ModelChoice,
+    PoseDifference,
+    Poses,
+    angle,
+    differences,
+    poses_of,
+)
+from clgs.poses.verdict import (
     DOUBTFUL,
     GOOD,
     LEFT_OUT,

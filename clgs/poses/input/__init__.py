@@ -1,1 +1,0 @@
-"""What users bring: photos, videos, GPS tags, poses that are known before."""
