@@ -51,8 +51,8 @@ from clgs.codec.workers import workers
 from clgs.errors import CodecError, UsageError
 from clgs.options import MAX_LAYERS
 from clgs.scene.anchors import QuantizedAnchors, take
+from clgs.scene.camera import UNKNOWN
 from clgs.scene.mlps import MLP_SIZE
-from clgs.scene.photo_range import UNKNOWN
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.world import LOCAL
 from clgs.shapes import Shapes

@@ -14,20 +14,24 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.arguments import as_path, check_integer
-from clgs.data.colmap.model import find_model, read_colmap
+from clgs.data.colmap_model import find_model, read_colmap
 from clgs.data.complaints import check_masks, check_photos, find_astray
 from clgs.data.images import Pixels, box_resized, check_chunks, check_image, list_images, read_image
 from clgs.data.lens import forget_sources, undistort_lens, undistort_pixels
 from clgs.data.masks import StoredMask, list_masks, read_mask
-from clgs.data.photo_cache import is_worth_keeping, kept_pixels
-from clgs.data.point_file import read_points
-from clgs.data.points import BLENDER_DISTANCE, BLENDER_TOLERANCE
+from clgs.data.points import BLENDER_DISTANCE, BLENDER_TOLERANCE, read_points
 from clgs.data.posed_photo import Photo, PhotoSet, hold_out
-from clgs.data.programs.find import find_reader
+from clgs.data.programs import find_reader
 from clgs.data.reduction import DEFAULT, EVERY, IGNORE, MAX_SIZE, OBJECT, VIEWS, Reduction
-from clgs.data.stored_photo import DEFAULT_MEMORY, PhotoMemory, StoredPhoto
 from clgs.data.transforms import read_blender, read_transforms
-from clgs.data.view import View
+from clgs.data.view import (
+    DEFAULT_MEMORY,
+    PhotoMemory,
+    StoredPhoto,
+    View,
+    is_worth_keeping,
+    kept_pixels,
+)
 from clgs.errors import DataError
 from clgs.files import in_any_case
 from clgs.scene.camera import Camera

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from clgs.data.apart import APART, LEAST, in_one_place, lonely, spread
+from clgs.data.complaints import APART, LEAST, in_one_place, lonely, spread
 from clgs.data.lens import Lens, undistort_lens
 from clgs.data.posed_photo import Photo
 from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, named

@@ -10,7 +10,7 @@ from clgs.data.complaints import NONE_LEFT
 from clgs.data.dataset import is_posed, read_photo_set
 from clgs.data.locate import PhotoFolder, locate
 from clgs.data.origin import read_origin
-from clgs.data.point_file import read_points
+from clgs.data.points import read_points
 from clgs.data.posed_photo import Photo, PhotoSet
 from clgs.data.transforms import count_frames, read_document, read_frame
 from clgs.doctor.cameras import check_lenses, check_poses

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from clgs.data.colmap.model import read_colmap
+from clgs.data.colmap_model import read_colmap
 from clgs.data.posed_photo import Photo, PhotoSet
 from clgs.exports.report import cards, facts_table, html_page
 from clgs.files import atomic_write, text_bytes

@@ -17,8 +17,7 @@ import numpy.typing as npt
 from clgs.constants import FEATURE_DIM, K_OFFSETS
 from clgs.data.dataset import Dataset
 from clgs.data.images import Pixels
-from clgs.data.stored_photo import StoredPhoto
-from clgs.data.view import View
+from clgs.data.view import StoredPhoto, View
 from clgs.opencl.device import Device
 from clgs.scene.anchors import AnchorSet
 from clgs.scene.camera import Camera

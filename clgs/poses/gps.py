@@ -15,10 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.data.images import open_image, read_exif
-from clgs.data.programs.earth import axes_at, geocentric
 from clgs.poses.evidence import Poses
 from clgs.poses.workspace import Workspace
-from clgs.scene.world import EARTH, NOWHERE, Place, is_world
+from clgs.scene.world import EARTH, NOWHERE, Place, axes_at, geocentric, is_world
 
 Floats = npt.NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from PIL import Image
 
 from clgs.arguments import as_path
-from clgs.data.colmap.model import WORLD
+from clgs.data.colmap_model import WORLD
 from clgs.data.images import read_image
 from clgs.errors import DataError, ExistsError, OutputError
 from clgs.files import atomic_folder, check_folder, is_full

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from clgs.data.colmap.model import WORLD
+from clgs.data.colmap_model import WORLD
 from clgs.data.images import image_size
 from clgs.data.masks import MASKS, save_mask
 from clgs.errors import DataError

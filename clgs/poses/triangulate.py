@@ -27,8 +27,8 @@ from PIL import Image
 from clgs.data.images import read_image
 from clgs.data.lens import Lens
 from clgs.data.masks import read_mask, save_mask
-from clgs.data.photo_cache import FOLDER, forget_oldest
 from clgs.data.posed_photo import Photo, from_plain, to_plain
+from clgs.data.view import FOLDER, forget_oldest
 from clgs.errors import ClgsError, DataError
 from clgs.files import atomic_path, cache_folder, make_folder, text_bytes
 from clgs.poses.evidence import sampson_error

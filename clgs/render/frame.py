@@ -13,9 +13,8 @@ from clgs.ops import blend, mlp, neural, project
 from clgs.ops.scan import EXACT
 from clgs.ops.tiles import TileLists
 from clgs.scene.anchors import DeviceAnchors
-from clgs.scene.camera import Camera
+from clgs.scene.camera import UNKNOWN, Camera, PhotoRange
 from clgs.scene.gaussians import DeviceGaussians
-from clgs.scene.photo_range import UNKNOWN, PhotoRange
 from clgs.scene.scene import RenderSettings, Scene, SplatScene
 
 

@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from clgs import constants
 from clgs.scene.anchors import AnchorSet, QuantizationScales, QuantizedAnchors, dequantize
+from clgs.scene.camera import UNKNOWN, PhotoRange
 from clgs.scene.gaussians import HostGaussians
 from clgs.scene.mlps import Mlps
-from clgs.scene.photo_range import UNKNOWN, PhotoRange
 from clgs.scene.world import LOCAL, NOWHERE, Place, is_world
 
 MIN_Q = 2.0**-64

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from clgs.data.masks import USED
-from clgs.data.stored_photo import Color
-from clgs.data.view import View
+from clgs.data.view import Color, View
 from clgs.exports.image import Picture, error_map
 from clgs.scene.camera import Camera
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from clgs.codec.contribution import contribution
 from clgs.errors import UsageError
 from clgs.opencl.device import Device
-from clgs.scene.photo_range import photo_range
+from clgs.scene.camera import photo_range
 from clgs.scene.scene import QuantizedScene
 from clgs.train.quality.rate_control import (
     MAX_VIEWS,

@@ -27,8 +27,7 @@ from clgs.data.dataset import load_dataset
 from clgs.data.origin import repose
 from clgs.data.posed_photo import to_y_up
 from clgs.data.splats.integer_splats import read_splats
-from clgs.data.stored_photo import Planes
-from clgs.data.view import View
+from clgs.data.view import Planes, View
 from clgs.errors import DataError, UsageError
 from clgs.exports.cameras import cameras_glb
 from clgs.exports.page import scene_page, start_at

@@ -13,7 +13,7 @@ from pathlib import Path
 from clgs.codec.scene_decoder import decode
 from clgs.opencl.device import Device
 from clgs.render.renderer import Renderer
-from clgs.scene.photo_range import UNKNOWN
+from clgs.scene.camera import UNKNOWN
 from clgs.train.quality.scores import mean_psnr
 from clgs.workflow.options import ViewOptions
 from clgs.workflow.views import drawing_options, select_views

@@ -13,7 +13,7 @@ from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode
 from clgs.data.dataset import load_dataset
 from clgs.data.origin import repose
-from clgs.scene.photo_range import photo_range
+from clgs.scene.camera import photo_range
 from clgs.scene.storage import load_scene, save_scene
 from tests.codec.scenes import random_scene
 from tests.data.folders import write_transforms

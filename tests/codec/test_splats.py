@@ -12,7 +12,7 @@ from clgs.codec.container.sections import write_container
 from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode
 from clgs.codec.splat_packing import QuantizedSplats, pack, quantize, sort_splats, unpack
-from clgs.data.splats.table import PlyTable, pack_ply, read_ply
+from clgs.data.splats.ply import PlyTable, pack_ply, read_ply
 from clgs.errors import CodecError
 from tests.codec.container.damage import ENTRY, HEAD, contents, patched, rebuilt
 from tests.codec.scenes import random_scene

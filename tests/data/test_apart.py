@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from clgs.data.apart import lonely
+from clgs.data.complaints import lonely
 
 
 def cluster(rng: np.random.Generator, count: int = 20) -> np.ndarray:

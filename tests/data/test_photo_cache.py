@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from clgs.data import dataset, photo_cache
+from clgs.data import dataset, view
 from clgs.data.dataset import load_dataset
 from clgs.data.images import Pixels
 from clgs.errors import DataError
@@ -19,7 +19,7 @@ from tests.data.folders import noise_image, write_transforms
 def cache(tmp_path, monkeypatch):
     """A cache of its own, for photos of any size."""
     monkeypatch.setenv("CLGS_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(photo_cache, "LEAST_PIXELS", 0)
+    monkeypatch.setattr(view, "LEAST_PIXELS", 0)
     return tmp_path / "cache" / "photos"
 
 
@@ -60,9 +60,9 @@ def test_photos_are_decoded_once_per_size_contents_lens_and_meaning(
         mask[:, 9 + number :] = 255
         Image.fromarray(mask).save(root / "masks" / f"{number:03d}.png")
     for options in ({"max_size": 16}, {"downscale": 4}, {"max_size": 16, "masks": "object"}):
-        monkeypatch.setattr(photo_cache, "LEAST_REDUCTION", 1e9)
+        monkeypatch.setattr(view, "LEAST_REDUCTION", 1e9)
         wanted = pixels(root, **options)
-        monkeypatch.setattr(photo_cache, "LEAST_REDUCTION", 4)
+        monkeypatch.setattr(view, "LEAST_REDUCTION", 4)
         decoded.clear()
         assert same(pixels(root, **options), wanted)
         assert len(decoded) == 3
@@ -121,6 +121,6 @@ def test_what_was_not_used_for_longest_goes(tmp_path, cache, monkeypatch):
     write_transforms(root, 4)
     pixels(root, max_size=16)
     sizes = [file.stat().st_size for file in cache.iterdir()]
-    monkeypatch.setattr(photo_cache, "LIMIT", 3 * max(sizes))
+    monkeypatch.setattr(view, "LIMIT", 3 * max(sizes))
     pixels(root, max_size=17)
     assert len(list(cache.iterdir())) <= 3

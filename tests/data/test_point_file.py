@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from clgs.data import point_file
+from clgs.data import points
 from clgs.data.dataset import load_dataset
-from clgs.data.point_file import SUFFIXES, read_points
+from clgs.data.points import SUFFIXES, read_points
 from clgs.errors import DataError
 from tests.small_scene import write_scene
 
@@ -161,10 +161,10 @@ def test_a_file_that_is_none_is_one_line(tmp_path):
 
 def test_large_files_and_scenes_are_refused(tmp_path, monkeypatch):
     path = write(tmp_path / "box.obj", box())
-    monkeypatch.setattr(point_file, "MAX_ELEMENTS", 19)
+    monkeypatch.setattr(points, "MAX_ELEMENTS", 19)
     with pytest.raises(DataError, match=r"box\.obj: .*more than 19 vertices and faces"):
         read(path)
-    monkeypatch.setattr(point_file, "MAX_BYTES", 100)
+    monkeypatch.setattr(points, "MAX_BYTES", 100)
     with pytest.raises(DataError, match=r"box\.obj: has more than 0 MiB; thin it out"):
         read(path)
 

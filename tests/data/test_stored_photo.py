@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clgs.data.images import Pixels, box_downscale
-from clgs.data.stored_photo import PhotoMemory, StoredPhoto, composite
+from clgs.data.view import PhotoMemory, StoredPhoto, composite
 from clgs.errors import DataError
 
 WHITE = (1.0, 1.0, 1.0)

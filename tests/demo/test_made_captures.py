@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clgs.data.colmap.model import read_colmap
+from clgs.data.colmap_model import read_colmap
 from clgs.poses.evidence import MAX_CONTRADICTED, Poses, differences
 from clgs.poses.prepare import prepare
 from clgs.poses.verdict import GOOD

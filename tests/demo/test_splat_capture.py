@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from clgs.data.dataset import load_dataset
-from clgs.data.splats.table import PlyTable, pack_ply
+from clgs.data.splats.ply import PlyTable, pack_ply
 
 COUNT = 400
 BRIGHT = 1.0

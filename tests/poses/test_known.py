@@ -14,12 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from clgs.cli.main import explain
 from clgs.data.dataset import load_dataset, read_photo_set
-from clgs.data.programs.earth import axes_at, geocentric, place_of
 from clgs.errors import DataError
 from clgs.poses.gps import GPS, read_place
 from clgs.poses.prepare import prepare
 from clgs.poses.verdict import GOOD
-from clgs.scene.world import EARTH
+from clgs.scene.world import EARTH, axes_at, geocentric, place_of
 from tests.data.folders import opengl, save_json, write_noise, write_room_photos
 
 pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")

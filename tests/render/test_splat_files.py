@@ -10,7 +10,7 @@ import pytest
 from clgs.constants import ALPHA_CUT, ALPHA_MAX, BLUR, NEAR_PLANE, TRANSMITTANCE_STOP
 from clgs.data.origin import move_camera
 from clgs.data.splats.gaussians import load_splats
-from clgs.data.splats.table import PlyTable, pack_ply, read_ply
+from clgs.data.splats.ply import PlyTable, pack_ply, read_ply
 from clgs.reference import project
 from clgs.reference.general.splats import basis
 from clgs.render.renderer import Renderer

@@ -18,8 +18,7 @@ from clgs.exports.clip.paths import look_at
 from clgs.ops import project
 from clgs.reference import project as reference
 from clgs.render.frame import screen_of
-from clgs.scene.camera import Camera
-from clgs.scene.photo_range import PULL, SLACK, UNKNOWN, PhotoRange, photo_range
+from clgs.scene.camera import PULL, SLACK, UNKNOWN, Camera, PhotoRange, photo_range
 from clgs.scene.storage import load_scene, save_scene
 from codec_c.reader.files import read_file
 from tests.codec.container.damage import contents, rebuilt

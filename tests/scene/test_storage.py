@@ -10,8 +10,8 @@ import zipfile
 import numpy as np
 import pytest
 
+from clgs.data.splats.anchors import load_mlps
 from clgs.data.splats.gaussians import load_splats
-from clgs.data.splats.mlps_archive import load_mlps
 from clgs.errors import DataError, UsageError
 from clgs.lab.bench.codec import file_subjects
 from clgs.scene.storage import ARRAY_NAMES, LATER, load_scene, save_scene

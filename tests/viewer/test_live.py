@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from clgs.data.images import Pixels
-from clgs.data.stored_photo import StoredPhoto
-from clgs.data.view import View
+from clgs.data.view import StoredPhoto, View
 from clgs.lab.scenes import anchor_scene
 from clgs.render.renderer import Renderer
 from clgs.scene.scene import RenderSettings, SplatScene

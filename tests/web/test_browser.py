@@ -17,12 +17,12 @@ from clgs.codec.splat_packing import pack, unpack
 from clgs.data.origin import move_camera
 from clgs.data.splats.gaussians import scene_of_packed
 from clgs.data.splats.integer_splats import read_splats
-from clgs.data.splats.table import PlyTable, pack_ply
+from clgs.data.splats.ply import PlyTable, pack_ply
 from clgs.errors import ClgsError
 from clgs.exports import page
 from clgs.lab.scenes import square_camera
 from clgs.render.renderer import render_view
-from clgs.scene.photo_range import PhotoRange
+from clgs.scene.camera import PhotoRange
 from clgs.scene.scene import IDENTITY
 from clgs.train.quality.scores import to_8bit
 from tests.data.splats.test_gaussians import columns_of

@@ -17,10 +17,10 @@ from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode
 from clgs.data.splats.gaussians import USUAL_SPREAD, scene_of_packed
 from clgs.data.splats.integer_splats import read_splats
-from clgs.data.splats.table import PlyTable, pack_ply
+from clgs.data.splats.ply import PlyTable, pack_ply
 from clgs.reference import mlp, neural
 from clgs.reference.project import rotation_matrix
-from clgs.scene.photo_range import UNKNOWN, PhotoRange
+from clgs.scene.camera import UNKNOWN, PhotoRange
 from tests.codec.container.damage import rebuilt
 from tests.codec.scenes import random_scene
 from tests.data.splats.test_gaussians import columns_of

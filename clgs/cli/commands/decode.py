@@ -36,8 +36,7 @@ def register(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Decode; exit code 0."""
     from clgs.cli.tell import tell
-    from clgs.data.splats.anchors import save_scaffold
-    from clgs.data.splats.mlps_archive import mlps_path
+    from clgs.data.splats.anchors import mlps_path, save_scaffold
     from clgs.errors import UsageError
     from clgs.files import check_output
     from clgs.scene.region import Box

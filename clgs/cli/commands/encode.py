@@ -118,8 +118,7 @@ def run(args: argparse.Namespace) -> int:
     """Encode; exit code 0."""
     from clgs.cli.display import Display
     from clgs.codec.scene_encoder import check_options, encode
-    from clgs.data.splats.anchors import load_scaffold
-    from clgs.data.splats.mlps_archive import mlps_path
+    from clgs.data.splats.anchors import load_scaffold, mlps_path
     from clgs.errors import UsageError
     from clgs.files import atomic_write
     from clgs.scene.anchors import QuantizationScales

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from clgs.scene.photo_range import UNKNOWN, PhotoRange
+from clgs.scene.camera import UNKNOWN, PhotoRange
 
 _PHOT = struct.Struct("<7d")
 

@@ -1,0 +1,30 @@
+"""Cameras of other programs: which program made those in a folder, and its reader."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+from clgs.data.posed_photo import PhotoSet
+from clgs.data.programs import metashape, opendronemap, phones, realityscan
+
+FORMATS = (
+    (metashape.find, metashape.read),
+    (realityscan.find, realityscan.read),
+    (opendronemap.find, opendronemap.read),
+    (phones.find_polycam, phones.read_polycam),
+    (phones.find_record3d, phones.read_record3d),
+)
+"""What finds the file of cameras in a folder, and what reads the photos by that file."""
+
+
+def find_reader(root: Path) -> Callable[[], PhotoSet] | None:
+    """What reads the data set in ``root``; None if no program's cameras are there."""
+    if not root.is_dir():
+        return None
+    for find, read in FORMATS:
+        file = find(root)
+        if file is not None:
+            return partial(read, root, file)
+    return None

@@ -20,7 +20,6 @@ import numpy.typing as npt
 
 from clgs.data.lens import Lens
 from clgs.data.posed_photo import PhotoSet
-from clgs.data.programs.earth import INNERMOST, axes_at, place_of
 from clgs.data.programs.listing import (
     checked,
     listed_photo,
@@ -31,7 +30,7 @@ from clgs.data.programs.listing import (
     whole_size,
 )
 from clgs.errors import DataError
-from clgs.scene.world import EARTH, LOCAL, METRES, NOWHERE, Place
+from clgs.scene.world import EARTH, INNERMOST, LOCAL, METRES, NOWHERE, Place, axes_at, place_of
 
 Floats = npt.NDArray[np.float64]
 

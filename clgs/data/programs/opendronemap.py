@@ -18,7 +18,6 @@ from scipy.spatial.transform import Rotation
 from clgs.data.lens import Lens
 from clgs.data.locate import ListedPhoto
 from clgs.data.posed_photo import PhotoSet
-from clgs.data.programs.earth import frame_of
 from clgs.data.programs.listing import (
     checked,
     listed_photo,
@@ -32,7 +31,7 @@ from clgs.data.programs.listing import (
 )
 from clgs.errors import DataError
 from clgs.files import in_any_case
-from clgs.scene.world import EARTH
+from clgs.scene.world import EARTH, frame_of
 
 KIND = "opendronemap"
 

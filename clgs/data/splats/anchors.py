@@ -1,14 +1,18 @@
-"""Anchors as the PLY files of Scaffold-GS and VOXEL-GS.
+"""Anchors as the PLY files of Scaffold-GS and VOXEL-GS, and the MLPs next to them.
 
 Properties stand in the order of NAMES and are float32, but for those of which float32 would not
 give an integer back: they are float64. Offset j of an anchor on axis c is
 ``f_offset_{c * K + j}``. A file whose name has ".quantized" in it holds the integers, another one
 the numbers that they stand for. What the reference does not keep at all (scales, transform, render
 settings) is written as comments; opacity and rot are not used to render.
+
+The MLPs are a NumPy archive with the reference's names of weights. The reference keeps them in
+torch files, which are pickles and never read here.
 """
 
 from __future__ import annotations
 
+import io
 import re
 from dataclasses import asdict
 from pathlib import Path
@@ -18,15 +22,91 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.codec.octree import MAX_EXTENT
-from clgs.constants import FEATURE_DIM, K_OFFSETS
-from clgs.data.splats.mlps_archive import holds, load_mlps, mlps_path, pack_mlps
-from clgs.data.splats.table import PlyTable, narrowest, pack_ply, read_ply
+from clgs.constants import FEATURE_DIM, HEAD_DIMS, K_OFFSETS
+from clgs.data.splats.ply import PlyTable, narrowest, pack_ply, read_ply
 from clgs.errors import DataError, OutputError, UsageError
 from clgs.files import atomic_write_all, check_target
 from clgs.quantities import plain_float
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
+from clgs.scene.mlps import LAYERS, MLP_SIZE, Mlps, unpack_head
 from clgs.scene.scene import MIN_Q, QuantizedScene, RenderSettings, SceneTransform, check_ranges
-from clgs.scene.storage import LATER
+from clgs.scene.storage import DAMAGE, LATER, describe_damage, load_archive
+
+TORCH_HEADS = {"opacity": "opacity_mlp", "color": "color_mlp", "covariance": "cov_mlp"}
+TORCH_LAYERS = dict(zip(LAYERS, ("0.weight", "0.bias", "2.weight", "2.bias"), strict=True))
+"""The reference's names of the weights: ``opacity_mlp.0.weight`` and so on."""
+
+FIRST = f"{TORCH_HEADS['opacity']}.0.weight"
+
+
+def mlps_path(path: Path) -> Path:
+    """Where the MLPs of ``path`` lie: scene.ply and scene.quantized.ply have scene.mlps.npz."""
+    stem = path.name
+    for ending in (".ply", ".quantized"):
+        if stem.lower().endswith(ending):
+            stem = stem[: -len(ending)]
+    return path.with_name(f"{stem}.mlps.npz")
+
+
+def pack_mlps(mlps: Mlps) -> bytes:
+    """The archive of ``mlps``, a pure function of them."""
+    arrays: dict[str, Any] = {
+        f"{TORCH_HEADS[head]}.{TORCH_LAYERS[layer]}": array
+        for head in HEAD_DIMS
+        for layer, array in mlps.head(head).items()
+    }
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def load_mlps(path: Path) -> Mlps:
+    """The weights in an archive: ``mlps`` (13710,), or the reference's names.
+
+    Raises:
+        DataError: missing, damaged, or another network.
+    """
+    try:
+        with path.open("rb") as file, load_archive(file) as archive:
+            flat = _flat_weights(archive)
+    except FileNotFoundError:
+        raise DataError(
+            f"{path}: the PLY file has no MLPs and this file is missing; name one with --mlps: "
+            f"arrays {FIRST} ... saved from the torch file by np.savez"
+        ) from None
+    except DAMAGE as error:
+        raise DataError(
+            f"{path}: not an archive of the MLPs ({describe_damage(error)}); save arrays {FIRST} "
+            "... by np.savez"
+        ) from None
+    if not np.isfinite(flat).all():
+        raise DataError(f"{path}: a weight is not finite; train the scene again")
+    return Mlps(flat)
+
+
+def holds(path: Path, mlps: Mlps) -> bool:
+    """Whether ``path`` is an archive of the very weights of ``mlps``."""
+    try:
+        found = load_mlps(path)
+    except DataError:
+        return False
+    return bool((found.flat.view(np.uint32) == mlps.flat.view(np.uint32)).all())
+
+
+def _flat_weights(archive: Any) -> npt.NDArray[np.float32]:
+    flat = np.empty(MLP_SIZE, np.float32)
+    if "mlps" in archive.files:
+        flat[...] = archive["mlps"]
+        return flat
+    for head in HEAD_DIMS:
+        for layer, target in unpack_head(flat, head).items():
+            name = f"{TORCH_HEADS[head]}.{TORCH_LAYERS[layer]}"
+            array = archive[name]
+            if array.shape != target.shape:
+                raise ValueError(f"{name} has shape {array.shape}, {target.shape} is needed")
+            target[...] = array
+    return flat
+
 
 POSITION, NORMAL = ["x", "y", "z"], ["nx", "ny", "nz"]
 OFFSET = [f"f_offset_{i}" for i in range(3 * K_OFFSETS)]

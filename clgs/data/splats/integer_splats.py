@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from clgs.codec.octree import MAX_EXTENT
 from clgs.codec.splat_packing import MAX_STEP, QuantizedSplats, quantize
-from clgs.data.splats.read import (
+from clgs.data.splats.gaussians import (
     ANTIALIASED,
     FEATURE_OF_ANCHORS,
     MARK,
@@ -24,7 +24,7 @@ from clgs.data.splats.read import (
     SCALE,
     read_splat_table,
 )
-from clgs.data.splats.table import PlyTable, narrowest, pack_ply
+from clgs.data.splats.ply import PlyTable, narrowest, pack_ply
 from clgs.errors import ClgsError, DataError, UsageError
 from clgs.scene.world import EARTH, from_text, in_words
 

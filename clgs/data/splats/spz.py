@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.data.splats.numbers import from_smallest_three, logit
-from clgs.data.splats.table import PlyTable
+from clgs.data.splats.ply import PlyTable
 from clgs.files import check_declared
 
 GZIP, MAGIC = b"\x1f\x8b", b"NGSP"

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.data.splats.gaussians import is_far, scene_of
-from clgs.data.splats.table import PlyTable
+from clgs.data.splats.ply import PlyTable
 from clgs.scene.gaussians import HostGaussians
 from clgs.scene.scene import SceneTransform
 

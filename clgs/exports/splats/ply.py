@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from clgs.data.splats.read import DC, MARK, POSITION, REST, ROTATION, SCALE
-from clgs.data.splats.table import PlyTable, pack_ply
+from clgs.data.splats.gaussians import DC, MARK, POSITION, REST, ROTATION, SCALE
+from clgs.data.splats.ply import PlyTable, pack_ply
 from clgs.exports.splats.encoded import Encoded, file_units, scene_units
 from clgs.scene.gaussians import HostGaussians
 from clgs.scene.scene import IDENTITY, SceneTransform

@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
     from tempfile import TemporaryDirectory
 
     from clgs.data.dataset import read_photo_set
-    from clgs.lab.accept import QUICK, WHOLE, chosen_device, run_trials, trials, write_photos
+    from clgs.lab.trials import QUICK, WHOLE, chosen_device, run_trials, trials, write_photos
     from clgs.opencl.device import check_environment
     from clgs.workflow.outputs import check_new
 

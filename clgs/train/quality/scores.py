@@ -25,8 +25,7 @@ import numpy.typing as npt
 from clgs.arguments import check_type
 from clgs.codec.workers import processors, workers
 from clgs.constants import K_OFFSETS, SSIM_C1, SSIM_C2, SSIM_SIGMA, SSIM_WINDOW
-from clgs.data.stored_photo import Color
-from clgs.data.view import View, with_photos
+from clgs.data.view import Color, View, with_photos
 from clgs.errors import ClgsError, UsageError
 from clgs.exports.image import picture_names
 from clgs.files import append, atomic_write, atomic_write_all

@@ -24,8 +24,8 @@ from clgs.ops.density import DeviceStatistics, Statistics
 from clgs.ops.rate import Rate
 from clgs.render.frame import DeviceScene
 from clgs.scene.anchors import FIELDS, AnchorSet, QuantizationScales, take
+from clgs.scene.camera import photo_range
 from clgs.scene.mlps import Mlps
-from clgs.scene.photo_range import photo_range
 from clgs.scene.scene import RenderSettings
 from clgs.train.config import TrainConfig
 from clgs.train.config.settings import BACKGROUNDS, PAPER_Q

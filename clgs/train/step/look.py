@@ -14,8 +14,7 @@ import numpy as np
 
 from clgs.data.dataset import Dataset
 from clgs.data.images import Pixels
-from clgs.data.stored_photo import Color, Planes, composite
-from clgs.data.view import View
+from clgs.data.view import Color, Planes, View, composite
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.opencl.transfer import Download

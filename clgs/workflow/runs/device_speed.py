@@ -12,8 +12,7 @@ import numpy as np
 
 from clgs.data.dataset import LEAST_POINTS, Dataset, load_dataset
 from clgs.data.images import Pixels
-from clgs.data.stored_photo import StoredPhoto
-from clgs.data.view import View
+from clgs.data.view import StoredPhoto, View
 from clgs.opencl.device import Device
 from clgs.scene.camera import Camera
 from clgs.scene.scene import SceneTransform

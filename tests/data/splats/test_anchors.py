@@ -14,9 +14,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clgs.data.splats.anchors import NAMES, load_scaffold, save_scaffold
-from clgs.data.splats.mlps_archive import mlps_path, pack_mlps
-from clgs.data.splats.table import PlyTable, pack_ply, read_ply
+from clgs.data.splats.anchors import NAMES, load_scaffold, mlps_path, pack_mlps, save_scaffold
+from clgs.data.splats.ply import PlyTable, pack_ply, read_ply
 from clgs.errors import DataError, OutputError, UsageError
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
 from clgs.scene.mlps import MLP_SIZE, Mlps

@@ -8,7 +8,7 @@ import pytest
 from clgs.codec.splat_packing import pack, unpack
 from clgs.data.splats.gaussians import load_splats, scene_of_packed
 from clgs.data.splats.integer_splats import read_splats, write_splats
-from clgs.data.splats.table import PlyTable, pack_ply, read_ply
+from clgs.data.splats.ply import PlyTable, pack_ply, read_ply
 from clgs.errors import DataError
 from tests.ops.cases.splats import stored
 

@@ -19,7 +19,7 @@ from clgs.data.splats.integer_splats import (
     usual_extent,
     write_splats,
 )
-from clgs.data.splats.table import PlyTable, pack_ply, parse_ply, read_ply
+from clgs.data.splats.ply import PlyTable, pack_ply, parse_ply, read_ply
 from clgs.errors import UsageError
 
 UTM = (4.5e6, 4e5, 100.0)

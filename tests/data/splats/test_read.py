@@ -14,9 +14,8 @@ import pytest
 import zstandard
 from PIL import Image
 
-from clgs.data.splats.gaussians import load_splats
-from clgs.data.splats.read import read_splat_table
-from clgs.data.splats.table import PlyTable, pack_ply
+from clgs.data.splats.gaussians import load_splats, read_splat_table
+from clgs.data.splats.ply import PlyTable, pack_ply
 from clgs.errors import DataError
 from clgs.exports.splats.ply import encode_ply
 from clgs.exports.splats.sog import encode_sog

@@ -8,7 +8,7 @@ import struct
 import numpy as np
 import pytest
 
-from clgs.data.splats.table import PlyTable, narrowest, pack_ply, parse_ply, read_ply
+from clgs.data.splats.ply import PlyTable, narrowest, pack_ply, parse_ply, read_ply
 from clgs.errors import DataError
 
 

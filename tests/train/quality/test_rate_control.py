@@ -11,8 +11,7 @@ import pytest
 from clgs.codec.fit_size import take
 from clgs.codec.scene_encoder import encode, sort_anchors
 from clgs.data.images import Pixels
-from clgs.data.stored_photo import StoredPhoto
-from clgs.data.view import View
+from clgs.data.view import StoredPhoto, View
 from clgs.errors import UsageError
 from clgs.lab.scenes import anchor_scene
 from clgs.opencl.device import Device

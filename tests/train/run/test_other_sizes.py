@@ -9,7 +9,7 @@ import pytest
 
 from clgs.codec.scene_decoder import decode
 from clgs.render.renderer import Renderer
-from clgs.scene.photo_range import UNKNOWN, photo_range
+from clgs.scene.camera import UNKNOWN, photo_range
 from clgs.train.config import preset
 from clgs.train.run.session import train_scene
 

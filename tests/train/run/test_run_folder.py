@@ -14,7 +14,7 @@ import pytest
 
 from clgs.cli import main as cli
 from clgs.data.dataset import load_dataset
-from clgs.data.stored_photo import StoredPhoto
+from clgs.data.view import StoredPhoto
 from clgs.errors import BudgetError, DataError
 from clgs.render import tile_groups
 from clgs.train.config import preset

@@ -9,7 +9,7 @@ import pytest
 
 from clgs.data.dataset import load_dataset
 from clgs.data.images import Pixels
-from clgs.data.stored_photo import StoredPhoto
+from clgs.data.view import StoredPhoto
 from clgs.train.config import preset
 from clgs.train.run.trainer import Trainer
 from clgs.train.step.look import ExposureTerm

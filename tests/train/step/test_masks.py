@@ -9,7 +9,7 @@ import pytest
 
 from clgs.data.images import Pixels
 from clgs.data.masks import StoredMask
-from clgs.data.stored_photo import StoredPhoto
+from clgs.data.view import StoredPhoto
 from clgs.train.config import preset
 from clgs.train.quality.scores import evaluate_views, psnr_8bit, psnr_channel_mean, ssim
 from clgs.train.run.trainer import Trainer

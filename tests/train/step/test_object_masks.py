@@ -14,8 +14,7 @@ from clgs.data.dataset import load_dataset
 from clgs.data.images import Pixels
 from clgs.data.masks import StoredMask, meaning_of
 from clgs.data.reduction import IGNORE, MEANINGS, OBJECT
-from clgs.data.stored_photo import StoredPhoto
-from clgs.data.view import View
+from clgs.data.view import StoredPhoto, View
 from clgs.errors import DataError
 from clgs.lab.scenes import anchor_scene
 from clgs.lab.selftest.reference_render import backward_reference, render_reference

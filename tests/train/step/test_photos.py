@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from clgs.data.images import Pixels
-from clgs.data.stored_photo import PhotoMemory, StoredPhoto
-from clgs.data.view import View
+from clgs.data.view import PhotoMemory, StoredPhoto, View
 from clgs.lab.scenes import square_camera
 from clgs.train.config import preset
 from clgs.train.step.look import TrainingPhotos

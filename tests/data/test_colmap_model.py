@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clgs.data.colmap.binary import read_binary
-from clgs.data.colmap.model import find_model, read_colmap, read_model
-from clgs.data.colmap.records import PARAMETERS
-from clgs.data.colmap.text import read_text
+from clgs.data.colmap_files import read_binary, read_text
+from clgs.data.colmap_model import find_model, read_colmap, read_model
+from clgs.data.colmap_records import PARAMETERS
 from clgs.data.posed_photo import PhotoSet
 from clgs.errors import DataError
 from tests.data.folders import ring, write_colmap

@@ -1,21 +1,25 @@
-"""Reads the text form of a COLMAP model: cameras, images, points3D (.txt).
+"""Reads the files of a COLMAP model: cameras, images, points3D, as text (.txt) or binary (.bin).
 
-Rigs and frames are checked only: COLMAP writes the pose of each image to images.txt, too.
+Every count that a binary file declares is compared with the bytes that remain before it sizes
+anything, and every number is checked. Rigs and frames are checked only: COLMAP writes the pose of
+each image to images.txt or images.bin, too.
 """
 
 from __future__ import annotations
 
 import math
 import re
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
 
-from clgs.data.colmap.records import (
+from clgs.data.colmap_records import (
+    MAX_COORDINATE,
     PARAMETERS,
     ColmapCamera,
     ColmapImage,
@@ -31,7 +35,7 @@ from clgs.quantities import plain_float
 _POSE = ("QW", "QX", "QY", "QZ", "TX", "TY", "TZ")
 _CAMERA = ("CAMERA_ID", "MODEL", "WIDTH", "HEIGHT")
 _IMAGE = ("IMAGE_ID", *_POSE, "CAMERA_ID", "NAME")
-_POINT = ("POINT3D_ID", "X", "Y", "Z", "R", "G", "B", "ERROR")
+_TEXT_POINT = ("POINT3D_ID", "X", "Y", "Z", "R", "G", "B", "ERROR")
 
 _WORD = re.compile(r"\S+", re.ASCII)
 """Blanks of other scripts are part of a name."""
@@ -52,7 +56,7 @@ def read_text(folder: Path) -> ColmapModel:
     names = "cameras", "images", "frames", "rigs", "points3D"
     files = {name: in_any_case(folder / f"{name}.txt") for name in names}
     cameras = _read_cameras(files["cameras"])
-    images, observations = _read_images(files["images"], cameras)
+    images, observations = _read_text_images(files["images"], cameras)
     for line in _lines(files["frames"]):
         line.pose(2)
     for line in _lines(files["rigs"]):
@@ -63,7 +67,7 @@ def read_text(folder: Path) -> ColmapModel:
             if line.words[at - 1 : at] == ["1"]:
                 line.pose(at)
                 at += len(_POSE)
-    position, color = _read_points(files["points3D"], observations)
+    position, color = _read_text_points(files["points3D"], observations)
     return ColmapModel(images, position, color)
 
 
@@ -155,7 +159,7 @@ def _read_cameras(path: Path) -> dict[int, ColmapCamera]:
     return cameras
 
 
-def _read_images(
+def _read_text_images(
     path: Path, cameras: dict[int, ColmapCamera]
 ) -> tuple[list[ColmapImage], dict[int, int]]:
     """The images, and the number of image points of each by its id."""
@@ -182,13 +186,13 @@ def _read_images(
     return images, observations
 
 
-def _read_points(
+def _read_text_points(
     path: Path, observations: dict[int, int]
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.uint8]]:
     numbers, positions, colors = [], [], []
     line = _Line(path, 0, [])
     for line in _lines(path):
-        track = line.check(_POINT)
+        track = line.check(_TEXT_POINT)
         if len(track) % 2:
             line.fail("TRACK is not of two numbers each")
         for image, index in zip(track[::2], track[1::2], strict=True):
@@ -216,3 +220,143 @@ def _is_finite(word: str) -> bool:
         return math.isfinite(plain_float(word))
     except ValueError:
         return False
+
+
+MAX_NAME_BYTES = 1024
+LEAST_IMAGE_BYTES = 73
+_MODELS = list(PARAMETERS)
+_BINARY_POINT = np.dtype([("number", "<u8"), ("position", "<f8", 3), ("color", "u1", 3)])
+_POINT_BYTES = 51
+"""Bytes of a point without its track: those of _BINARY_POINT, its error, and the track's length."""
+
+
+def read_binary(folder: Path) -> ColmapModel:
+    """The model in ``folder``, which holds all three files.
+
+    Raises:
+        DataError: names file, byte offset and what is wrong.
+    """
+    file = _File(folder / "cameras.bin")
+    cameras: dict[int, ColmapCamera] = {}
+    for _ in file.records(24):
+        number, model, width, height = file.take("<IIQQ")
+        if model >= len(_MODELS):
+            file.fail(
+                f"camera model {model} is unknown (undistort with COLMAP's image_undistorter)"
+            )
+        name = _MODELS[model]
+        params = file.take(f"<{len(PARAMETERS[name].split())}d")
+        if number in cameras:
+            file.fail(f"camera {number} occurs twice")
+        cameras[number] = ColmapCamera(name, width, height, params)
+        cameras[number].check(file.fail)
+    images = _read_binary_images(_File(folder / "images.bin"), cameras)
+    position, color = _read_binary_points(_File(folder / "points3D.bin"))
+    if (rigs := in_any_case(folder / "rigs.bin")).is_file():
+        _check_rigs(_File(rigs))
+    if (frames := in_any_case(folder / "frames.bin")).is_file():
+        file = _File(frames)
+        for _ in file.records(68):
+            file.take("<II")
+            file.pose()
+            file.skip(file.take("<I")[0], 16)
+    return ColmapModel(images, position, color)
+
+
+class _File:
+    """The bytes of one file, and the place that is read next."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = in_any_case(path)
+        self.data = self.path.read_bytes()
+        self.at = 0
+
+    def fail(self, problem: str) -> NoReturn:
+        raise DataError(f"{self.path}: byte {self.at}: {problem}; export the model again")
+
+    def take(self, layout: str) -> tuple[Any, ...]:
+        """The numbers that ``layout`` describes, as of the module struct."""
+        size = struct.calcsize(layout)
+        if size > len(self.data) - self.at:
+            self.fail("truncated")
+        values = struct.unpack_from(layout, self.data, self.at)
+        self.at += size
+        return values
+
+    def bounded(self, count: int, size: int) -> int:
+        """``count``, if that number of records of at least ``size`` bytes can follow."""
+        if count > (len(self.data) - self.at) // size:
+            self.fail(f"{count} records are declared but the file ends before")
+        return count
+
+    def skip(self, count: int, size: int) -> None:
+        """Pass over ``count`` records of ``size`` bytes."""
+        self.at += self.bounded(count, size) * size
+
+    def records(self, size: int) -> Iterator[int]:
+        """Count the records of the whole file; each has at least ``size`` bytes."""
+        yield from range(self.bounded(self.take("<Q")[0], size))
+        if self.at != len(self.data):
+            self.fail("the file does not end with the last record")
+
+    def pose(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """A quaternion and a translation."""
+        values = self.take("<7d")
+        check_pose(values[:4], values[4:], self.fail)
+        return values[:4], values[4:]
+
+    def name(self) -> str:
+        """A zero-terminated relative path."""
+        end = self.data.find(b"\0", self.at, self.at + MAX_NAME_BYTES)
+        if end < 0:
+            self.fail("image name has no end")
+        try:
+            name = self.data[self.at : end].decode()
+        except UnicodeDecodeError:
+            self.fail("image name is not UTF-8")
+        check_name(name, self.fail)
+        self.at = end + 1
+        return name
+
+
+def _read_binary_images(file: _File, cameras: dict[int, ColmapCamera]) -> list[ColmapImage]:
+    images: dict[int, ColmapImage] = {}
+    for _ in file.records(LEAST_IMAGE_BYTES):
+        (number,) = file.take("<I")
+        quaternion, translation = file.pose()
+        (camera,) = file.take("<I")
+        if camera not in cameras:
+            file.fail(f"camera {camera} is not in cameras.bin")
+        if number in images:
+            file.fail(f"image {number} occurs twice")
+        images[number] = ColmapImage(file.name(), cameras[camera], quaternion, translation)
+        file.skip(file.take("<Q")[0], 24)
+    return list(images.values())
+
+
+def _read_binary_points(file: _File) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.uint8]]:
+    starts, track_length = [], struct.Struct("<Q").unpack_from
+    for _ in file.records(_POINT_BYTES):
+        starts.append(file.at)
+        end = file.at + _POINT_BYTES
+        if end > len(file.data):
+            file.fail("truncated")
+        file.at = end + 8 * track_length(file.data, end - 8)[0]
+    places = np.array(starts, np.int64)[:, None] + np.arange(_BINARY_POINT.itemsize)
+    rows = np.frombuffer(file.data, np.uint8)[places].view(_BINARY_POINT).reshape(-1)
+    bad = ~(np.abs(rows["position"]) <= MAX_COORDINATE).all(axis=1)
+    if bad.any():
+        file.at = starts[int(np.argmax(bad))]
+        file.fail(f"point is not finite, or beyond {MAX_COORDINATE:g}")
+    return sorted_points(rows["number"], rows["position"], rows["color"], file.fail)
+
+
+def _check_rigs(file: _File) -> None:
+    for _ in file.records(8):
+        _, sensors = file.take("<II")
+        if sensors:
+            file.take("<iI")
+        for _ in range(file.bounded(max(0, sensors - 1), 9)):
+            file.take("<iI")
+            if file.take("<B")[0]:
+                file.pose()

@@ -12,8 +12,8 @@ import pytest
 from clgs.cli import main as cli
 from clgs.data.dataset import load_dataset
 from clgs.errors import ClgsError
-from clgs.lab import accept as trial_module
-from clgs.lab.accept import (
+from clgs.lab import trials as trial_module
+from clgs.lab.trials import (
     FORMAT,
     QUICK,
     VIEWS,

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from clgs.data.colmap.binary import LEAST_IMAGE_BYTES, read_binary
-from clgs.data.colmap.records import ColmapCamera, ColmapModel
-from clgs.data.colmap.text import read_text
+from clgs.data.colmap_files import LEAST_IMAGE_BYTES, read_binary, read_text
+from clgs.data.colmap_records import ColmapCamera, ColmapModel
 from clgs.data.images import list_images
 from clgs.data.lens import Lens
 from clgs.data.locate import ListedPhoto, locate_all
