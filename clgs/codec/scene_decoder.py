@@ -15,10 +15,8 @@ import numpy.typing as npt
 from clgs import _codec
 from clgs.arguments import check_integer
 from clgs.codec import octree
-from clgs.codec.attributes.model import NearRows
-from clgs.codec.attributes.row_coder import RowModel
-from clgs.codec.container.chunks import Chunk
-from clgs.codec.container.detl import interleave, times
+from clgs.codec.attribute_model import NearRows
+from clgs.codec.container.chunks import Chunk, interleave, times
 from clgs.codec.container.http_source import HttpSource
 from clgs.codec.container.meta import array_hash, content_arrays, content_hash, join_hashes
 from clgs.codec.container.reader import CHANNELS, SceneReader
@@ -35,6 +33,7 @@ from clgs.codec.container.sections import (
     read_container,
     read_table,
 )
+from clgs.codec.row_coder import RowModel
 from clgs.codec.workers import workers
 from clgs.constants import K_OFFSETS
 from clgs.errors import UsageError

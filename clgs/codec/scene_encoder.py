@@ -10,28 +10,32 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.arguments import check_choice, check_integer, check_type
-from clgs.codec import layering, octree, weights
-from clgs.codec.attributes import row_coder
-from clgs.codec.attributes.model import NearRows
-from clgs.codec.container.chunks import DEFAULT_CHUNK, MAX_CHUNK, MIN_CHUNK, TAGS, pack_directory
-from clgs.codec.container.detl import (
+from clgs.codec import contribution, octree, row_coder, weights
+from clgs.codec.attribute_model import NearRows
+from clgs.codec.container.chunks import (
+    DEFAULT_CHUNK,
+    MAX_CHUNK,
+    MIN_CHUNK,
+    TAGS,
     interleave,
     known_channels,
     pack_details,
+    pack_directory,
     round_attributes,
 )
-from clgs.codec.container.geor import pack_geor
-from clgs.codec.container.layers import Layer, pack_layers
 from clgs.codec.container.meta import (
     LEVELS,
+    Layer,
     Meta,
     array_hash,
     check_meta,
     content_arrays,
     content_hash,
     join_hashes,
+    pack_geor,
+    pack_layers,
+    pack_phot,
 )
-from clgs.codec.container.phot import pack_phot
 from clgs.codec.container.sections import (
     ANCH,
     BODY,
@@ -85,7 +89,7 @@ def encode(
         importance: of each anchor (A,) float64, at least 0, for ``layers``; default:
             ``clgs.codec.contribution``, opacity times area as seen from all around.
         details: the last of several layers adds no anchors, but the precision of all others, whose
-            integers are rounded to multiples of ``clgs.codec.container.detl.STEP`` before it.
+            integers are rounded to multiples of ``clgs.codec.container.chunks.STEP`` before it.
 
     Raises:
         CodecError: positions repeat or span 2^21 cells, or a weight or setting is not a sensible
@@ -97,7 +101,7 @@ def encode(
     """
     check_type("scene", scene, QuantizedScene, "a run has it as .scene, clgs.load_scene reads one")
     if chunk is None:
-        chunk = DEFAULT_CHUNK if layers is None else layering.CHUNK
+        chunk = DEFAULT_CHUNK if layers is None else contribution.CHUNK
     check_options(level, chunk, mlp, layers)
     _check_scene(scene)
     detailed = details and layers is not None and layers > 1
@@ -219,7 +223,7 @@ def _in_layers(
             raise ValueError("importance: a number is not finite or below 0")
         importance = importance[octree.morton_order(scene.anchors.position)]
     ordered, details = replace(scene, anchors=whole), int(detailed)
-    layer = layering.choose_layers(ordered, layers - details, importance, details)
+    layer = contribution.choose_layers(ordered, layers - details, importance, details)
     ends = [0, *np.cumsum(np.bincount(layer)).tolist()]
     return take(whole, np.argsort(layer, kind="stable")), ends
 

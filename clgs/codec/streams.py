@@ -13,8 +13,7 @@ import numpy.typing as npt
 
 from clgs import _codec
 from clgs.arguments import check_choice
-from clgs.codec import octree
-from clgs.codec.attributes import row_coder
+from clgs.codec import octree, row_coder
 from clgs.codec.container.meta import LEVELS
 from clgs.codec.workers import workers
 from clgs.errors import CodecError

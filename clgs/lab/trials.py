@@ -24,7 +24,7 @@ import numpy as np
 
 from clgs.cli.tell import tell
 from clgs.errors import ClgsError, DeviceError
-from clgs.exports.image import save_png
+from clgs.exports.pictures import save_png
 from clgs.files import write_json
 from clgs.lab.bench.gsplat import has_gsplat
 from clgs.lab.selftest import SHIPPED

@@ -12,8 +12,8 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from clgs.errors import DataError
-from clgs.exports.clip.paths import pinhole
-from clgs.exports.image import Picture
+from clgs.exports.camera_path import pinhole
+from clgs.exports.pictures import Picture
 from clgs.opencl.device import Device
 from clgs.options import DEFAULT, RenderOptions
 from clgs.render.frame import upload_scene

@@ -8,7 +8,7 @@ import numpy as np
 
 from clgs.data.masks import USED
 from clgs.data.view import Color, View
-from clgs.exports.image import Picture, error_map
+from clgs.exports.pictures import Picture, error_map
 from clgs.scene.camera import Camera
 
 RENDER, PHOTO, HALVES, ERROR = "render", "photo", "half photo, half render", "error"

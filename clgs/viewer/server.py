@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from clgs.data.view import View
 from clgs.errors import ClgsError
-from clgs.exports.clip.framing import Framing
+from clgs.exports.framing import Framing
 from clgs.viewer.guard import guarded
 from clgs.viewer.live import Eye, Follower, LiveScene, eye_of
 from clgs.viewer.photos import RENDER, SHOWN, compare, names_of, stands_at

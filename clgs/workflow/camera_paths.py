@@ -10,9 +10,8 @@ import numpy as np
 from clgs.data.dataset import Dataset
 from clgs.data.origin import move_camera
 from clgs.errors import UsageError
-from clgs.exports.clip.camera_path import read_camera_path
-from clgs.exports.clip.framing import frame_cameras, frame_scene
-from clgs.exports.clip.paths import interpolate, orbit, spiral, through_photos
+from clgs.exports.camera_path import interpolate, orbit, read_camera_path, spiral, through_photos
+from clgs.exports.framing import frame_cameras, frame_scene
 from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene, SceneTransform, SplatScene
 from clgs.workflow.events import Note, OnEvent

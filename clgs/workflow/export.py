@@ -31,9 +31,8 @@ from clgs.data.view import Planes, View
 from clgs.errors import DataError, UsageError
 from clgs.exports.cameras import cameras_glb
 from clgs.exports.page import scene_page, start_at
-from clgs.exports.splats.encoded import Encoded, file_units
 from clgs.exports.splats.glb import encode_glb
-from clgs.exports.splats.ply import encode_ply
+from clgs.exports.splats.ply import Encoded, encode_ply, file_units
 from clgs.exports.splats.sog import encode_sog
 from clgs.exports.splats.spz import encode_spz, fraction_bits
 from clgs.files import atomic_write, check_output

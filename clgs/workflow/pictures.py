@@ -12,9 +12,16 @@ import numpy.typing as npt
 
 from clgs.data.origin import move_camera
 from clgs.errors import UsageError
-from clgs.exports.clip.camera_path import write_camera_path
-from clgs.exports.clip.video import SUFFIX, load_writer, mp4_writer
-from clgs.exports.image import Picture, heat, picture_names, save_png
+from clgs.exports.camera_path import write_camera_path
+from clgs.exports.pictures import (
+    SUFFIX,
+    Picture,
+    heat,
+    load_writer,
+    mp4_writer,
+    picture_names,
+    save_png,
+)
 from clgs.files import atomic_write, folder_to_fill
 from clgs.opencl.device import Device
 from clgs.render.renderer import Renderer

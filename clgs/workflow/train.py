@@ -10,7 +10,7 @@ from typing import Any
 
 from clgs.data.origin import repose
 from clgs.errors import DataError, UsageError
-from clgs.exports.run_report import REPORT, write_run_report
+from clgs.exports.report import REPORT, write_run_report
 from clgs.files import check_folder, write_json
 from clgs.memory import return_freed_memory
 from clgs.opencl.device import Device

@@ -20,8 +20,8 @@ from PIL import Image
 from clgs.cli.main import main as clgs
 from clgs.data.images import list_images
 from clgs.errors import ClgsError, DataError, DeviceError
-from clgs.exports.image import picture_names, save_png
-from clgs.exports.run_report import sections
+from clgs.exports.pictures import picture_names, save_png
+from clgs.exports.report import sections
 from clgs.workflow.runs.record import measure_data
 
 STEPS = 1000

@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from clgs import _codec
-from clgs.codec import octree, weights
-from clgs.codec.attributes import model_search, row_coder
+from clgs.codec import attribute_search, octree, row_coder, weights
 from clgs.codec.container.reader import SceneReader
 from clgs.codec.container.sections import BytesSource, read_container
 
@@ -127,11 +126,11 @@ def attribute_seeds(
 def known_seeds(name: str, value: np.ndarray) -> Iterator[Seed]:
     """The values with every second channel known, which others look at."""
     value = np.resize(value, (len(value), 3))
-    chunks = model_search.RowChunks(value, [slice(0, len(value))], None, np.arange(3) % 2 == 0)
-    plain, _ = model_search.fit(chunks, search=True)
+    chunks = attribute_search.RowChunks(value, [slice(0, len(value))], None, np.arange(3) % 2 == 0)
+    plain, _ = attribute_search.fit(chunks, search=True)
     for kind, tables in (
         ("tables", plain),
-        ("mixed", model_search.mix_all(plain, chunks.sample())),
+        ("mixed", attribute_search.mix_all(plain, chunks.sample())),
     ):
         model = row_coder.table_model(tables)
         length = struct.pack("<H", len(model.header))

@@ -11,7 +11,7 @@ from PIL import Image
 from clgs.codec.scene_encoder import encode
 from clgs.codec.splat_packing import pack
 from clgs.data.splats.integer_splats import read_splats
-from clgs.exports.clip.camera_path import read_camera_path
+from clgs.exports.camera_path import read_camera_path
 from clgs.scene.storage import save_scene
 from tests.cli.test_commands import clgs
 from tests.codec.scenes import random_scene

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from clgs.cluster.blocks.cuts import Cuts, bulk, cut_scene, long_axes, parse_counts
+from clgs.cluster.block_plan import Cuts, bulk, cut_scene, long_axes, parse_counts
 from clgs.errors import UsageError
 
 UP = np.array([0.1, -0.9, 0.2])

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.cluster.blocks.cuts import Cuts, cut_scene
-from clgs.cluster.blocks.merge import merged_scene
-from clgs.cluster.blocks.plan import Pictures, Plan, counts_for_memory, read_plan
+from clgs.cluster.block_plan import Cuts, Pictures, Plan, counts_for_memory, cut_scene, read_plan
+from clgs.cluster.block_run import merged_scene
 from clgs.codec.scene_encoder import sort_anchors
 from clgs.errors import DataError, UsageError
 from clgs.scene.anchors import take

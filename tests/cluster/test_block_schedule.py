@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from clgs.cluster.blocks.schedule import (
+from clgs.cluster.block_task import (
     block_config,
     check_settings,
     coarse_config,

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from clgs.cli.main import main
+from clgs.cluster import block_run as blocks_run
 from clgs.cluster import engine, worker
-from clgs.cluster.blocks import run as blocks_run
-from clgs.cluster.blocks.merge import merged_scene, merged_state
-from clgs.cluster.blocks.plan import read_plan
-from clgs.cluster.blocks.schedule import joint_begin
+from clgs.cluster.block_plan import read_plan
+from clgs.cluster.block_run import merged_scene, merged_state
+from clgs.cluster.block_task import joint_begin
 from clgs.data.dataset import load_dataset
 from clgs.data.origin import repose
 from clgs.errors import DataError, ExistsError, UsageError

@@ -15,7 +15,7 @@ from clgs.codec import (
     encode_positions,
     morton_order,
 )
-from clgs.codec.attributes.model import CHANNEL
+from clgs.codec.attribute_model import CHANNEL
 from clgs.codec.container.meta import LEVELS
 from clgs.errors import CodecError
 

@@ -8,8 +8,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from clgs import _codec
-from clgs.codec import morton_order
-from clgs.codec.attributes import model_search, row_coder
+from clgs.codec import attribute_search, morton_order, row_coder
 from clgs.codec.octree import runs
 
 INT32 = st.integers(-(2**31), 2**31 - 1)
@@ -106,13 +105,15 @@ def decode_paper(data: bytes, count: int, channels: int) -> np.ndarray:
 
 def tables_model(value: np.ndarray, chunk: int = row_coder.CHUNK) -> row_coder.RowModel:
     """The model of level ``default`` if no other coder is shorter."""
-    model, _ = model_search.fit(model_search.RowChunks(value, runs(len(value), chunk)), search=True)
+    model, _ = attribute_search.fit(
+        attribute_search.RowChunks(value, runs(len(value), chunk)), search=True
+    )
     return row_coder.table_model(model)
 
 
 def mixed_model(value: np.ndarray) -> row_coder.RowModel:
     """The model of level ``max``, with every channel but the first mixed."""
     model = tables_model(value).tables.copy()
-    mixed = model_search.mix_all(model, model_search.RowSample(value))
+    mixed = attribute_search.mix_all(model, attribute_search.RowSample(value))
     mixed[:1] = model[:1]
     return row_coder.table_model(mixed)

@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 
 from clgs import codec
-from clgs.codec import weights
-from clgs.codec.attributes import row_coder
+from clgs.codec import row_coder, weights
 from clgs.codec.container.meta import LEVELS
 from clgs.codec.octree import runs
 from codec_c.reader import attributes as reader_attributes

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.codec.compensate import hidden_products
-from clgs.codec.fit_size import anchor_bits, coarsen, fit_coarsened, fit_size, take
+from clgs.codec.fit_size import anchor_bits, coarsen, fit_coarsened, fit_size, hidden_products, take
 from clgs.codec.scene_decoder import decode
 from clgs.codec.scene_encoder import encode
 from clgs.errors import UsageError

@@ -10,11 +10,10 @@ import numpy.typing as npt
 import pytest
 
 from clgs import _codec, codec
-from clgs.codec import octree, splat_packing, streams, weights
-from clgs.codec.attributes import row_coder
-from clgs.codec.attributes.model import find_near
-from clgs.codec.container import chunks, detl
-from clgs.codec.container.layers import Layer, pack_layers, unpack_layers
+from clgs.codec import octree, row_coder, splat_packing, streams, weights
+from clgs.codec.attribute_model import find_near
+from clgs.codec.container import chunks
+from clgs.codec.container.meta import Layer, pack_layers, unpack_layers
 from clgs.codec.container.sections import MAGIC, SPLATS, BytesSource, read_section, read_table
 from clgs.codec.scene_decoder import decode
 from clgs.codec.scene_encoder import encode
@@ -142,16 +141,16 @@ def test_examples_of_layers_and_of_details() -> None:
     assert unpack_layers(listed, 3) == layers
     assert read_layers(listed, 3) == [(1, 1), (2, 2)]
     section = documented("6b")[-1]
-    streams = {tag: [bytes([0x11 + i]), bytes([0x21 + i])] for i, tag in enumerate(detl.ROWS)}
+    streams = {tag: [bytes([0x11 + i]), bytes([0x21 + i])] for i, tag in enumerate(chunks.ROWS)}
     coded = {tag: (b"\1", chunks) for tag, chunks in streams.items()}
-    found, body = detl.pack_details(3, coded)
+    found, body = chunks.pack_details(3, coded)
     assert found == section
     assert body == b"\1\1\1\x11\x12\x13\x21\x22\x23"
     read = read_details(section, 2)
     assert (read.step, read.sizes, read.total()) == (3, [[1, 1, 1]] * 2, len(body))
     assert read.headers == [(1, _codec.crc32c(b"\1"))] * 3
     assert read.crcs == [_codec.crc32c(body[at : at + 3]) for at in (3, 6)]
-    assert detl.unpack_details(section, 2, 0).size == len(body)
+    assert chunks.unpack_details(section, 2, 0).size == len(body)
 
 
 @pytest.mark.parametrize("number", OCTREES)

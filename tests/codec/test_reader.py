@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from clgs import _codec, codec
-from clgs.codec.attributes import row_coder
-from clgs.codec.attributes.model import KNOWN, MIXED, empty_model
-from clgs.codec.container import detl
+from clgs.codec import row_coder
+from clgs.codec.attribute_model import KNOWN, MIXED, empty_model
+from clgs.codec.container import chunks
 from clgs.codec.container.meta import LEVELS
 from clgs.codec.container.reader import SceneReader
 from clgs.codec.container.sections import BytesSource, read_table
@@ -136,7 +136,7 @@ def details_of(data: bytes) -> dict[str, row_coder.RowModel]:
 
 @pytest.mark.parametrize("step", [1, 5, 255])
 def test_details_of_other_steps(step: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(detl, "STEP", step)
+    monkeypatch.setattr(chunks, "STEP", step)
     scene = small_scene(9)
     scene.anchors.feature[:, ::7] = scene.anchors.feature[:, ::7] * 999_999 + 77
     data = encode(scene, chunk=16, layers=2, details=True)

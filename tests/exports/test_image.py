@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from clgs.exports.image import (
+from clgs.exports.pictures import (
     ERROR_GAIN,
     GAP,
     comparison,

@@ -9,9 +9,8 @@ import pytest
 
 from clgs.codec.scene_encoder import encode
 from clgs.errors import DataError
-from clgs.exports.image import save_png
-from clgs.exports.report import MOST_PICTURES
-from clgs.exports.run_report import REPORT, read_curve, sections, write_run_report
+from clgs.exports.pictures import save_png
+from clgs.exports.report import MOST_PICTURES, REPORT, read_curve, sections, write_run_report
 from tests.codec.scenes import random_scene
 
 SUMMARY = {

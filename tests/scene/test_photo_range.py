@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.codec.container.phot import pack_phot, unpack_phot
+from clgs.codec.container.meta import pack_phot, unpack_phot
 from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode
 from clgs.constants import BLUR, NEAR_PLANE
 from clgs.data.splats.anchors import load_scaffold, save_scaffold
 from clgs.errors import CodecError
-from clgs.exports.clip.paths import look_at
+from clgs.exports.camera_path import look_at
 from clgs.ops import project
 from clgs.reference import project as reference
 from clgs.render.frame import screen_of

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from clgs.cli.main import main
-from clgs.codec.container.geor import pack_geor, unpack_geor
+from clgs.codec.container.meta import pack_geor, unpack_geor
 from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode
 from clgs.data.splats.anchors import load_scaffold, save_scaffold

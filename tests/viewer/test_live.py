@@ -25,7 +25,7 @@ from clgs.viewer.live import (
 )
 from clgs.viewer.photos import ERROR, HALVES, PHOTO, RENDER, compare, names_of, stands_at
 from tests.codec.scenes import random_scene
-from tests.exports.clip.test_paths import ring
+from tests.exports.test_paths import ring
 from tests.ops.cases.splats import stored
 
 

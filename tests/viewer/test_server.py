@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from clgs.exports.clip.framing import frame_cameras, frame_scene
+from clgs.exports.framing import frame_cameras, frame_scene
 from clgs.lab.scenes import anchor_scene
 from clgs.viewer.guard import may_enter
 from clgs.viewer.live import LiveScene, eye_of
 from clgs.viewer.server import Shown, box_edges, close_server, open_server
 from tests.codec.scenes import random_scene
-from tests.exports.clip.test_paths import ring
+from tests.exports.test_paths import ring
 from tests.viewer.test_live import photo_view
 
 viser = pytest.importorskip("viser", reason="needs clgs[view]")

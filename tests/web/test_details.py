@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from clgs import _codec
-from clgs.codec.attributes import row_coder
-from clgs.codec.attributes.model import KNOWN, empty_model
-from clgs.codec.container.chunks import TAGS
-from clgs.codec.container.detl import ROWS, known_channels, pack_details
+from clgs.codec import row_coder
+from clgs.codec.attribute_model import KNOWN, empty_model
+from clgs.codec.container.chunks import ROWS, TAGS, known_channels, pack_details
 from clgs.codec.container.reader import SceneReader
 from clgs.codec.container.sections import (
     BODY,

@@ -122,7 +122,7 @@ def run(args: argparse.Namespace) -> int:
 def run_blocks(args: argparse.Namespace, config: TrainConfig) -> int:
     """Train in blocks; exit code 0."""
     from clgs.cli.display import Display
-    from clgs.cluster.blocks.run import train_in_blocks
+    from clgs.cluster.block_run import train_in_blocks
 
     for name, flag in (
         ("start", "--from"),

@@ -87,7 +87,7 @@ def scene_to_show(
     import numpy as np
 
     from clgs.errors import UsageError
-    from clgs.exports.clip.framing import frame_cameras, frame_scene
+    from clgs.exports.framing import frame_cameras, frame_scene
     from clgs.opencl.device import Device
     from clgs.scene.region import Box
     from clgs.scene.scene import SplatScene, drawable

@@ -1,4 +1,8 @@
-"""Section META: counts, scales, transform, render settings, hash (codec_c/FORMAT.md on META)."""
+"""The small sections of a scene: META, GEOR, PHOT and LAYR (codec_c/FORMAT.md on each of them).
+
+META has counts, scales, transform, render settings and a hash, GEOR what the world of the scene is,
+PHOT how photos saw it, LAYR which chunks are a layer and the hash of each.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +13,15 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs import _codec
-from clgs.codec.attributes import row_coder
+from clgs.codec import row_coder
 from clgs.codec.octree import MAX_DEPTH
 from clgs.constants import FEATURE_DIM, K_OFFSETS
+from clgs.options import MAX_LAYERS
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
+from clgs.scene.camera import UNKNOWN, PhotoRange
 from clgs.scene.mlps import MLP_SIZE
 from clgs.scene.scene import RenderSettings, SceneTransform, check_ranges
+from clgs.scene.world import LOCAL, Place, is_world
 
 SCALING_DIM = 6
 MAX_ANCHORS = 12_000_000
@@ -121,3 +128,88 @@ def join_hashes(hashes: list[int]) -> bytes:
 def content_hash(anchors: QuantizedAnchors, weights: npt.NDArray[np.float32]) -> bytes:
     """The content hash (8 bytes, little-endian) of a scene, or of a layer of one."""
     return join_hashes([array_hash(array) for array in content_arrays(anchors, weights)])
+
+
+_GEOR = struct.Struct("<II3d")
+
+
+def pack_geor(frame: float, place: Place) -> bytes:
+    """The bytes of the section."""
+    return _GEOR.pack(int(frame), 0, *place)
+
+
+def unpack_geor(data: bytes | memoryview) -> tuple[int, Place]:
+    """Read the frame and the place.
+
+    Raises:
+        ValueError: wrong size, or a number out of range.
+    """
+    if len(data) != _GEOR.size:
+        raise ValueError(f"{len(data)} bytes instead of {_GEOR.size}")
+    frame, zero, *place = _GEOR.unpack(data)
+    found = place[0], place[1], place[2]
+    if frame == LOCAL or zero or not is_world(frame, found):
+        raise ValueError(f"frame {frame} with place {found} is out of range")
+    return frame, found
+
+
+_PHOT = struct.Struct("<7d")
+
+
+def pack_phot(photos: PhotoRange) -> bytes:
+    """The bytes of the section."""
+    return _PHOT.pack(*photos)
+
+
+def unpack_phot(data: bytes | memoryview) -> PhotoRange:
+    """Read the bounds.
+
+    Raises:
+        ValueError: wrong size, or a number out of range.
+    """
+    if len(data) != _PHOT.size:
+        raise ValueError(f"{len(data)} bytes instead of {_PHOT.size}")
+    photos = PhotoRange(*_PHOT.unpack(data))
+    if problem := photos.problem():
+        raise ValueError(problem)
+    if photos == UNKNOWN:
+        raise ValueError("it says nothing")
+    return photos
+
+
+_COUNT = struct.Struct("<I")
+_LAYER = struct.Struct("<IQ")
+
+
+@dataclass(frozen=True)
+class Layer:
+    """Chunks that follow those of the layer before; ``content_hash``: as META's, of this layer."""
+
+    chunks: int
+    content_hash: bytes
+
+
+def pack_layers(layers: list[Layer]) -> bytes:
+    """Section LAYR."""
+    rows = (
+        _LAYER.pack(layer.chunks, int.from_bytes(layer.content_hash, "little")) for layer in layers
+    )
+    return _COUNT.pack(len(layers)) + b"".join(rows)
+
+
+def unpack_layers(data: bytes | memoryview, chunks: int) -> list[Layer]:
+    """The layers of a file of ``chunks`` chunks.
+
+    Raises:
+        ValueError: another length, a number out of range, or chunks that do not add up.
+    """
+    count = _COUNT.unpack_from(data)[0] if len(data) >= _COUNT.size else 0
+    if not 1 <= count <= MAX_LAYERS or len(data) != _COUNT.size + count * _LAYER.size:
+        raise ValueError(f"{len(data)} bytes do not hold 1 to {MAX_LAYERS} layers")
+    rows = _LAYER.iter_unpack(data[_COUNT.size :])
+    layers = [Layer(number, content.to_bytes(8, "little")) for number, content in rows]
+    if min(layer.chunks for layer in layers) < 1:
+        raise ValueError("a layer has no chunks")
+    if sum(layer.chunks for layer in layers) != chunks:
+        raise ValueError(f"the layers do not have {chunks} chunks in all")
+    return layers

@@ -11,15 +11,25 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs import _codec
-from clgs.codec import octree, weights
-from clgs.codec.attributes import row_coder
+from clgs.codec import octree, row_coder, weights
 from clgs.codec.container import chunks, sections
-from clgs.codec.container.chunks import HEAD_SIZE, TAGS, ByteRange, Chunk
-from clgs.codec.container.detl import Details, known_channels, unpack_details
-from clgs.codec.container.geor import unpack_geor
-from clgs.codec.container.layers import Layer, unpack_layers
-from clgs.codec.container.meta import SCALING_DIM, unpack_meta
-from clgs.codec.container.phot import unpack_phot
+from clgs.codec.container.chunks import (
+    HEAD_SIZE,
+    TAGS,
+    ByteRange,
+    Chunk,
+    Details,
+    known_channels,
+    unpack_details,
+)
+from clgs.codec.container.meta import (
+    SCALING_DIM,
+    Layer,
+    unpack_geor,
+    unpack_layers,
+    unpack_meta,
+    unpack_phot,
+)
 from clgs.codec.container.sections import (
     ANCH,
     BODY,

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.data.splats.numbers import SH_0, sigmoid, unit_rotation
-from clgs.exports.splats.encoded import Encoded, file_units, scene_units
+from clgs.exports.splats.ply import Encoded, file_units, scene_units
 from clgs.scene.gaussians import HostGaussians
 from clgs.scene.scene import IDENTITY, SceneTransform
 from clgs.scene.world import to_text

@@ -1,21 +1,62 @@
-"""Ordinary Gaussians as the PLY file of 3DGS: float32, nothing is rounded.
+"""A file of ordinary Gaussians, and what a reader finds in it; the PLY file of 3DGS.
 
-Positions that are too far from the origin for that are float64.
-
-Properties: x y z, nx ny nz (0), f_dc_0 to 2, f_rest (all coefficients of red, then of green, then
-of blue), opacity (logit), scale (log), rot (w x y z).
+The PLY file has float32, nothing is rounded.
 """
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import dataclass, replace
+from pathlib import Path
 
-from clgs.data.splats.gaussians import DC, MARK, POSITION, REST, ROTATION, SCALE
+import numpy as np
+import numpy.typing as npt
+
+from clgs.data.splats.gaussians import DC, MARK, POSITION, REST, ROTATION, SCALE, is_far, scene_of
 from clgs.data.splats.ply import PlyTable, pack_ply
-from clgs.exports.splats.encoded import Encoded, file_units, scene_units
 from clgs.scene.gaussians import HostGaussians
 from clgs.scene.scene import IDENTITY, SceneTransform
 from clgs.scene.world import to_text
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Encoded:
+    """The bytes of a file, and the Gaussians that it holds after rounding, in scene units."""
+
+    data: bytes
+    gaussians: HostGaussians
+
+
+def file_units(
+    gaussians: HostGaussians, transform: SceneTransform
+) -> tuple[Floats, npt.NDArray[np.float32], Floats]:
+    """Positions (N, 3) and log scales (N, 3) in the world's units, and an origin (3,).
+
+    The origin is 0, or the middle of splats that are too far from 0 for positions in float32.
+    """
+    position = transform.to_world(gaussians.mean.astype(np.float64))
+    log_scale = gaussians.log_scale + np.float32(np.log(1.0 / transform.scale))
+    middle = np.median(position, axis=0)
+    return position, log_scale, middle if is_far(middle, log_scale) else np.zeros(3)
+
+
+def scene_units(
+    gaussians: HostGaussians,
+    position: npt.NDArray[np.floating],
+    log_scale: npt.NDArray[np.float32],
+    transform: SceneTransform,
+) -> HostGaussians:
+    """Gaussians with these positions and log scales, which are in the world's units."""
+    mean = transform.to_scene(position.astype(np.float64)).astype(np.float32)
+    return replace(gaussians, mean=mean, log_scale=log_scale + np.float32(np.log(transform.scale)))
+
+
+def as_read(table: PlyTable, transform: SceneTransform) -> HostGaussians:
+    """The Gaussians of a table as a reader finds it in a file, in scene units."""
+    scene = scene_of(table.columns, Path("the new file"))
+    position = scene.transform.to_world(scene.gaussians.mean.astype(np.float64))
+    return scene_units(scene.gaussians, position, scene.gaussians.log_scale, transform)
 
 
 def encode_ply(gaussians: HostGaussians, transform: SceneTransform = IDENTITY) -> Encoded:

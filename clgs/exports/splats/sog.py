@@ -21,7 +21,7 @@ from clgs.data.splats.sog import (
     VERSION,
     decode_sog,
 )
-from clgs.exports.splats.encoded import Encoded, as_read, file_units
+from clgs.exports.splats.ply import Encoded, as_read, file_units
 from clgs.scene.gaussians import HostGaussians
 from clgs.scene.scene import IDENTITY, SceneTransform
 from clgs.scene.world import to_text

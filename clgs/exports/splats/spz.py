@@ -21,7 +21,7 @@ from clgs.data.splats.spz import (
     decode_spz,
 )
 from clgs.errors import DataError
-from clgs.exports.splats.encoded import Encoded, as_read, file_units
+from clgs.exports.splats.ply import Encoded, as_read, file_units
 from clgs.scene.gaussians import HostGaussians
 from clgs.scene.scene import IDENTITY, SceneTransform
 

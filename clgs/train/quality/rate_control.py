@@ -13,13 +13,13 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from clgs.codec.compensate import hidden_products
 from clgs.codec.contribution import contribution
 from clgs.codec.fit_size import (
     Factors,
     anchor_bits,
     coarsen,
     fit_coarsened,
+    hidden_products,
     least_size,
     take,
 )

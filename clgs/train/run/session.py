@@ -15,7 +15,7 @@ from clgs.data.dataset import Dataset
 from clgs.data.origin import repose, write_origin
 from clgs.data.view import View
 from clgs.errors import DataError, UsageError
-from clgs.exports.image import PictureFolder
+from clgs.exports.pictures import PictureFolder
 from clgs.files import atomic_write, make_folder, write_json
 from clgs.memory import peak_memory
 from clgs.opencl.device import Device

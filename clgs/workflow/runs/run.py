@@ -12,7 +12,7 @@ from typing import Any
 
 from clgs.arguments import as_path, check_integer, check_type
 from clgs.errors import UsageError
-from clgs.exports.clip.camera_path import read_camera_path
+from clgs.exports.camera_path import read_camera_path
 from clgs.files import check_folder, make_folder
 from clgs.train.config import layered
 from clgs.train.run.run_folder import FolderLock

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from clgs.codec.scene_encoder import encode
-from clgs.exports.clip.framing import look_outward
-from clgs.exports.run_report import write_run_report
+from clgs.exports.framing import look_outward
+from clgs.exports.report import write_run_report
 from clgs.files import atomic_write, remove_temporaries, write_json
 from clgs.opencl.device import Device
 from clgs.train.config import layered

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from clgs.codec.attributes import row_coder
+from clgs.codec import row_coder
 from tests.codec.samples import INT32, draw, matrices, mixed_model, tables_model
 
 LEVEL = st.sampled_from(row_coder.LEVELS)

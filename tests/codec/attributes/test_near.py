@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from clgs import _codec
-from clgs.codec.attributes import row_coder
-from clgs.codec.attributes.model import NEAR_COUNT, NearRows, find_near
+from clgs.codec import row_coder
+from clgs.codec.attribute_model import NEAR_COUNT, NearRows, find_near
 from clgs.codec.octree import morton_order
 from clgs.codec.scene_decoder import decode
 from clgs.codec.scene_encoder import encode, sort_anchors

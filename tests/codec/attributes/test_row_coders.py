@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from clgs.codec.attributes import row_coder
+from clgs.codec import row_coder
 from clgs.lab.bench.codec import PUBLISHED_ATTRIBUTES as ATTRIBUTES
 from codec_c.reader.rows import decode_paper_rows, decode_rows
 from tests.codec.samples import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clgs.codec.attributes import row_coder
+from clgs.codec import row_coder
 from clgs.lab.bench.codec import PUBLISHED_ATTRIBUTES as BASELINE
 
 LIMIT = {  # ratios to the baseline, default level

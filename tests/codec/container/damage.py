@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from clgs import _codec
-from clgs.codec.container import chunks, detl
+from clgs.codec.container import chunks
 from clgs.codec.container.sections import (
     BODY,
     DETL,
@@ -49,7 +49,7 @@ def checked_details(sections: dict[str, bytes]) -> bytes:
     table = unpack_rows(sections["CHNK"])[-1]
     begin = int(table[:, 7:].sum())
     section, body = bytearray(sections[DETL]), sections[BODY]
-    details = detl.unpack_details(bytes(section), len(table), begin)
+    details = chunks.unpack_details(bytes(section), len(table), begin)
     for i, (place, _) in enumerate(details.headers.values()):
         crc = _codec.crc32c(body[place.offset : place.offset + place.length])
         struct.pack_into("<I", section, 8 + 8 * i, crc)

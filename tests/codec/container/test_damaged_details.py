@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from clgs import _codec
-from clgs.codec.attributes.model import KNOWN, empty_model
-from clgs.codec.container import detl
+from clgs.codec.attribute_model import KNOWN, empty_model
+from clgs.codec.container import chunks
 from clgs.codec.container.chunks import pack_rows
 from clgs.codec.container.sections import BODY, DETL, LAYR, BytesSource, write_container
 from clgs.codec.scene_decoder import decode, decode_box, describe
@@ -61,7 +61,7 @@ def repacked(**changed):
     """Details packed again, some sections' (header, details of each chunk) replaced."""
     sections = contents(GOLD)
     body = sections[BODY]
-    details = detl.unpack_details(sections[DETL], len(CHUNKS), BEGIN)
+    details = chunks.unpack_details(sections[DETL], len(CHUNKS), BEGIN)
 
     def bytes_at(place):
         return body[place.offset : place.offset + place.length]
@@ -71,9 +71,9 @@ def repacked(**changed):
             bytes_at(details.headers[tag][0]),
             [bytes_at(one[tag]) for one in all_places(details)],
         )
-        for tag in detl.ROWS
+        for tag in chunks.ROWS
     }
-    section, rest = detl.pack_details(details.step, {**coded, **changed})
+    section, rest = chunks.pack_details(details.step, {**coded, **changed})
     return rebuilt(GOLD, DETL=section, BODY=body[:BEGIN] + rest), coded
 
 
@@ -119,7 +119,7 @@ def test_details_of_chunks_have_checksums():
 def listed(change):
     """DETL with other numbers of bytes."""
     section = contents(GOLD)[DETL]
-    details = detl.unpack_details(section, len(CHUNKS), BEGIN)
+    details = chunks.unpack_details(section, len(CHUNKS), BEGIN)
     sizes = details.lengths.copy()
     change(sizes)
     return section[: 28 + 4 * len(CHUNKS)] + _codec.runlength_encode(sizes, 3)
@@ -157,7 +157,7 @@ def test_a_section_that_is_cut_or_longer():
         refused(with_detl(section + more), r"^section DETL at byte \d+: ")
 
 
-@pytest.mark.parametrize("tag", detl.ROWS)
+@pytest.mark.parametrize("tag", chunks.ROWS)
 @pytest.mark.parametrize("mode", [b"", b"\0", b"\2", b"\3", b"\1"])
 def test_headers_of_details_are_of_mode_1(tag, mode):
     streams = repacked()[1][tag][1]
@@ -172,7 +172,7 @@ def header_of(channels, known):
     return _codec.attributes_header(model)
 
 
-@pytest.mark.parametrize("tag", detl.ROWS)
+@pytest.mark.parametrize("tag", chunks.ROWS)
 def test_every_second_channel_of_details_is_known_and_no_other(tag):
     channels = 2 * CHANNELS[tag]
     even, streams = np.arange(channels) % 2 == 0, repacked()[1][tag][1]
@@ -183,11 +183,11 @@ def test_every_second_channel_of_details_is_known_and_no_other(tag):
         refused(file, r"^section BODY at byte \d+: other channels are known than must be;")
 
 
-@pytest.mark.parametrize("tag", detl.ROWS)
+@pytest.mark.parametrize("tag", chunks.ROWS)
 def test_known_channels_elsewhere_are_refused(tag):
     data = encode(decode(GOLD), "fast", chunk=64)
     chunk, shared, crcs, table = unpack_rows(contents(data)["CHNK"])
-    column = 1 + detl.ROWS.index(tag)
+    column = 1 + chunks.ROWS.index(tag)
     for known in (np.arange(CHANNELS[tag]) == 0, np.ones(CHANNELS[tag], bool)):
         header = header_of(CHANNELS[tag], known)
         section = contents(data)[tag][shared[2 * column] :]
@@ -199,7 +199,7 @@ def test_known_channels_elsewhere_are_refused(tag):
         refused(file, rf"^section {tag} at byte \d+: other channels are known than must be;")
 
 
-@pytest.mark.parametrize("tag", detl.ROWS)
+@pytest.mark.parametrize("tag", chunks.ROWS)
 def test_details_of_a_chunk_that_end_elsewhere(tag):
     header, streams = repacked()[1][tag]
     for other in (b"", streams[0] + b"\1", streams[0] + bytes(40), b"\xff" * 50):

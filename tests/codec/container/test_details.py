@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clgs.codec.container.sections import BytesSource, FileSource
-from clgs.codec.layering import choose_layers
+from clgs.codec.contribution import choose_layers
 from clgs.codec.scene_decoder import decode, decode_box, describe
 from clgs.codec.scene_encoder import encode, sort_anchors
 from clgs.errors import CodecError, UsageError

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from clgs.codec.container.sections import BODY, LAYR, BytesSource, FileSource, write_container
-from clgs.codec.layering import choose_layers
+from clgs.codec.contribution import choose_layers
 from clgs.codec.scene_decoder import decode, decode_box, describe
 from clgs.codec.scene_encoder import encode, sort_anchors
 from clgs.errors import CodecError, UsageError

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.exports.clip.framing import common_up, fov_y, frame_cameras, frame_scene
-from clgs.exports.clip.paths import (
+from clgs.exports.camera_path import (
     interpolate,
     look_at,
     orbit,
@@ -17,6 +16,7 @@ from clgs.exports.clip.paths import (
     through_photos,
     walking_order,
 )
+from clgs.exports.framing import common_up, fov_y, frame_cameras, frame_scene
 from clgs.scene.gaussians import OrdinaryGaussians
 from clgs.scene.scene import QuantizedScene, SplatScene
 from tests.codec.scenes import random_scene

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from clgs.errors import DataError
-from clgs.exports.clip.camera_path import read_camera_path, write_camera_path
-from tests.exports.clip.test_paths import ring
+from clgs.exports.camera_path import read_camera_path, write_camera_path
+from tests.exports.test_paths import ring
 
 POSE = np.eye(4).ravel().tolist()
 FAR = [1e300, *POSE[1:]]

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs import _codec
-from clgs.codec.attributes.model import (
+from clgs.codec.attribute_model import (
     CELLS,
     KNOWN,
     MAX_GAIN,
@@ -26,9 +26,9 @@ from clgs.codec.attributes.model import (
     NearRows,
     empty_model,
     find_near,
+    find_taps,
     looks_near,
 )
-from clgs.codec.attributes.taps import find_taps
 
 SAMPLE_BLOCKS, SAMPLE_ROWS = 8, 2048
 LONG_ROWS = 2048

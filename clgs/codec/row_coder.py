@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs import _codec
-from clgs.codec.attributes import model_search
-from clgs.codec.attributes.model import CHANNEL, KNOWN, Ints, Models, NearRows, looks_near
-from clgs.codec.attributes.model_search import RowChunks
+from clgs.codec import attribute_search
+from clgs.codec.attribute_model import CHANNEL, KNOWN, Ints, Models, NearRows, looks_near
+from clgs.codec.attribute_search import RowChunks
 from clgs.codec.octree import runs
 
 LEVELS = ("fast", "default", "max", "paper")
@@ -129,12 +129,12 @@ def fit(
     values = np.ascontiguousarray(values, np.int32)
     chunks = runs(rows, chunk) if isinstance(chunk, int) else chunk
     all_rows = RowChunks(values, chunks, near)
-    model, size = model_search.fit(all_rows, search=level in ("default", "max"))
+    model, size = attribute_search.fit(all_rows, search=level in ("default", "max"))
     tables, paper = table_model(model), RowModel(channels, PAPER)
     if values.size <= EXACT_SIZE[level]:
         models = [tables, paper, RowModel(channels, RAW)]
         if _mixes(level, all_rows):
-            models.insert(0, table_model(model_search.choose_mixed(model, all_rows)))
+            models.insert(0, table_model(attribute_search.choose_mixed(model, all_rows)))
         return min(models, key=lambda one: _size(one, all_rows))
     if size >= 4 * values.size:
         return RowModel(channels, RAW)
@@ -152,8 +152,8 @@ def fit_with_known(
 ) -> RowModel:
     """The model of ``values`` (n, channels) int32 for readers that have the ``known`` channels."""
     rows = RowChunks(np.ascontiguousarray(values, np.int32), chunks, near, known)
-    model, _ = model_search.fit(rows, search=level in ("default", "max"))
-    return table_model(model_search.choose_mixed(model, rows) if _mixes(level, rows) else model)
+    model, _ = attribute_search.fit(rows, search=level in ("default", "max"))
+    return table_model(attribute_search.choose_mixed(model, rows) if _mixes(level, rows) else model)
 
 
 def _mixes(level: str, rows: RowChunks) -> bool:
@@ -167,7 +167,7 @@ def _size(model: RowModel, rows: RowChunks) -> int:
 
 def _sampled_size(model: RowModel, rows: RowChunks) -> int:
     """About the same, from a sample in chunks of the mean length."""
-    sample, count = model_search.take_sample(rows.values), len(rows.values)
+    sample, count = attribute_search.take_sample(rows.values), len(rows.values)
     parts = runs(len(sample), min(len(sample), -(-count // len(rows.chunks))))
     return _size(model, RowChunks(sample, parts)) * count // len(sample)
 

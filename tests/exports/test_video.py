@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clgs.exports.clip.video import mp4_writer
+from clgs.exports.pictures import mp4_writer
 
 imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="needs clgs[video]")
 

@@ -1,23 +1,36 @@
-"""A whole run in blocks: a coarse scene, blocks side by side, the merged scene."""
+"""A whole run in blocks: a coarse scene, blocks side by side, the merged scene.
+
+Each block gives the merged scene the anchors that it owns, and the best stay.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from clgs.cluster.blocks.cuts import parse_counts
-from clgs.cluster.blocks.merge import merged_scene, merged_state
-from clgs.cluster.blocks.plan import (
+import numpy as np
+
+from clgs.cluster.block_plan import (
+    Cuts,
     Plan,
     counts_for_memory,
     look,
     make_plan,
+    parse_counts,
     read_plan,
     up_of,
 )
-from clgs.cluster.blocks.schedule import check_settings, coarse_config, joint_begin, joint_config
-from clgs.cluster.blocks.task import block_tasks, train_block
+from clgs.cluster.block_task import (
+    block_state,
+    block_tasks,
+    check_settings,
+    coarse_config,
+    joint_begin,
+    joint_config,
+    train_block,
+)
 from clgs.cluster.engine import (
     Message,
     common_kind,
@@ -27,16 +40,20 @@ from clgs.cluster.engine import (
     run_tasks,
 )
 from clgs.cluster.worker import Task, Tell, forget_peak_memory, opened_device
-from clgs.data.dataset import load_dataset
+from clgs.codec.scene_encoder import sort_anchors
+from clgs.data.dataset import Dataset, load_dataset
 from clgs.data.origin import repose
 from clgs.errors import ClgsError, DataError, UsageError
-from clgs.exports.run_report import write_run_report
+from clgs.exports.report import write_run_report
 from clgs.files import check_folder, make_folder, write_json
 from clgs.machine import available_memory
 from clgs.memory import peak_memory, return_freed_memory
 from clgs.opencl.device import Device
+from clgs.scene.anchors import concatenate, take
 from clgs.scene.scene import QuantizedScene
+from clgs.scene.storage import load_scene
 from clgs.train.config import TrainConfig
+from clgs.train.rate.economy import Economy
 from clgs.train.run.load import load_for
 from clgs.train.run.run_folder import (
     BLOCKS,
@@ -50,10 +67,47 @@ from clgs.train.run.run_folder import (
     remove_run,
 )
 from clgs.train.run.session import Progress, Session
+from clgs.train.state.rounding import Rounding
+from clgs.train.state.run_state import RunState
 from clgs.workflow.events import Note, OnEvent, StageProgress, TrainingProgress, counter, ignore
 from clgs.workflow.outputs import check_apart
 from clgs.workflow.train import TrainedRun, read_finished
 from clgs.workflow.views import scene_name
+
+
+def merged_scene(folder: Path, cuts: Cuts, coarse: QuantizedScene) -> QuantizedScene:
+    """The scene of the blocks in ``folder``, in Morton order, with the MLPs of the coarse one.
+
+    Raises:
+        DataError: the scene of a block is missing or damaged, or not of these units.
+    """
+    parts, scales = [], coarse.scales
+    for number, name in enumerate(cuts.names):
+        path = folder / name / "scene.npz"
+        block = load_scene(path)
+        if (block.scales, block.transform) != (scales, coarse.transform):
+            raise DataError(f"{path}: has other units than the coarse scene; remove its folder")
+        owned = cuts.owner(block.anchors.position) == number
+        parts.append(take(block.anchors, np.flatnonzero(owned)))
+    return replace(coarse, anchors=sort_anchors(concatenate(parts)))
+
+
+def merged_state(
+    device: Device, dataset: Dataset, merged: QuantizedScene, begun: int, config: TrainConfig
+) -> RunState:
+    """The state in which all of ``merged`` learns after step ``begun``, without the least anchors.
+
+    An ordinary run leaves them out in rounds before its switch to integers, and grows others
+    after the first of these; here the rounds after the first one, up to ``begun``, follow each
+    other. Without a price all anchors stay.
+    """
+    state = block_state(device, dataset, merged, begun, config)
+    economy = Economy(device, dataset, config, Rounding(device, config))
+    for step in economy.steps[1:]:
+        if step <= begun:
+            economy.round(state, step)
+    return state
+
 
 ROWS = "rows.json"
 """What is known of each block: its time, its anchors, the peak of its worker's memory."""

@@ -1,1 +1,0 @@
-"""One scene as blocks, each trained as a task: `clgs train --blocks`."""
