@@ -10,12 +10,11 @@ import stat
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from errno import EDQUOT, ENOSPC
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from clgs.errors import ExistsError, OutputError, UsageError
+from clgs.errors import ExistsError, OutputError, UsageError, is_full
 
 _TAG = os.urandom(2).hex()
 """Tells this process from one that was killed and had the same number, as in containers."""
@@ -96,11 +95,6 @@ def append(path: Path, data: bytes) -> None:
             with suppress(OSError):
                 file.truncate(size)
             raise
-
-
-def is_full(error: OSError) -> bool:
-    """Whether the disk, or what the user may take of it, is full."""
-    return error.errno in (ENOSPC, EDQUOT)
 
 
 def check_output(path: Path, *sources: Path) -> None:

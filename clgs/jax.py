@@ -15,8 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.render.rasterization import rasterization as rasterization_of_numpy
-from clgs.render.splat_arguments import check_arguments
-from clgs.render.splat_options import checked_lens
+from clgs.render.splat_arguments import check_arguments, checked_lens
 
 SIGNATURE = signature(rasterization_of_numpy)
 

@@ -23,11 +23,10 @@ from reproduce.table import Entry, Table, chosen, entries, jobs, read_table, run
 from reproduce.worker import run_job, stored_row
 
 from clgs import __version__
-from clgs.cli.shared_options import add_cluster, positive_int
+from clgs.cli.options import add_cluster, positive_int
 from clgs.cluster.engine import connected, require_distributed, run_tasks
 from clgs.cluster.worker import Row
-from clgs.errors import ClgsError, DataError
-from clgs.explain import explain
+from clgs.errors import ClgsError, DataError, explain
 from clgs.files import check_folder
 from clgs.lab.figures import require_pyplot
 

@@ -31,8 +31,8 @@ def apply(folder: Path) -> None:
         spec.loader.exec_module(module)
         setattr(parent, name.rpartition(".")[2], module)
 
-    from clgs.opencl import source
+    from clgs.opencl import programs
 
-    source.kernel_root = lambda: folder / "kernels_cl"
-    if "#line" not in source.read_program("scan/fits.cl"):
+    programs.kernel_root = lambda: folder / "kernels_cl"
+    if "#line" not in programs.read_program("scan/fits.cl"):
         raise RuntimeError(f"{folder}: kernels are not read from there")

@@ -9,7 +9,7 @@ import pytest
 
 RESIDENT = """
 from pathlib import Path
-from clgs.memory import return_freed_memory, return_unused_memory
+from clgs.machine import return_freed_memory, return_unused_memory
 
 def resident():
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096

@@ -5,7 +5,7 @@ import signal
 
 import pytest
 
-from clgs.signals import interruptions
+from clgs.machine import interruptions
 
 
 def test_signals_wait_for_the_step():

@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Any
 from clgs import __version__
 from clgs.cli.interruptions import Interruptions
 from clgs.cli.tell import tell
-from clgs.errors import ClgsError
-from clgs.explain import explain
+from clgs.errors import ClgsError, explain
 
 if TYPE_CHECKING:
     import argparse
@@ -69,8 +68,7 @@ def build_parser(commands: Collection[str] = tuple(COMMANDS)) -> argparse.Argume
     Args:
         commands: those whose modules are imported and whose options are added; default: all.
     """
-    from clgs.cli.examples import EXAMPLES, epilog
-    from clgs.cli.parser import SHELLS, Completion, Parser
+    from clgs.cli.parser import EXAMPLES, SHELLS, Completion, Parser, epilog
 
     parser = Parser(
         prog="clgs",

@@ -46,8 +46,7 @@ from clgs.data.origin import repose
 from clgs.errors import ClgsError, DataError, UsageError
 from clgs.exports.report import write_run_report
 from clgs.files import check_folder, make_folder, write_json
-from clgs.machine import available_memory
-from clgs.memory import peak_memory, return_freed_memory
+from clgs.machine import available_memory, peak_memory, return_freed_memory
 from clgs.opencl.device import Device
 from clgs.scene.anchors import concatenate, take
 from clgs.scene.scene import QuantizedScene

@@ -18,7 +18,7 @@ from clgs.data.dataset import Dataset
 from clgs.data.origin import repose
 from clgs.data.reduction import LEAST_SIZE
 from clgs.errors import DataError, UsageError
-from clgs.memory import return_freed_memory
+from clgs.machine import return_freed_memory
 from clgs.opencl.device import Device
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import load_scene

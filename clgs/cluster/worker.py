@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clgs import __version__
-from clgs.errors import ClgsError
-from clgs.explain import explain
+from clgs.errors import ClgsError, explain
 
 if TYPE_CHECKING:
     from clgs.opencl.device import Device

@@ -16,11 +16,12 @@ from clgs import _codec
 from clgs.arguments import check_integer
 from clgs.codec import octree
 from clgs.codec.attribute_model import NearRows
-from clgs.codec.container.chunks import Chunk, interleave, times
-from clgs.codec.container.http_source import HttpSource
-from clgs.codec.container.meta import array_hash, content_arrays, content_hash, join_hashes
-from clgs.codec.container.reader import CHANNELS, SceneReader
-from clgs.codec.container.sections import (
+from clgs.codec.chunks import Chunk, interleave, times
+from clgs.codec.http_source import HttpSource
+from clgs.codec.meta import array_hash, content_arrays, content_hash, join_hashes
+from clgs.codec.reader import CHANNELS, SceneReader
+from clgs.codec.row_coder import RowModel
+from clgs.codec.sections import (
     BODY,
     CHNK,
     FEAT,
@@ -33,10 +34,9 @@ from clgs.codec.container.sections import (
     read_container,
     read_table,
 )
-from clgs.codec.row_coder import RowModel
-from clgs.codec.workers import workers
 from clgs.constants import K_OFFSETS
 from clgs.errors import UsageError
+from clgs.machine import workers
 from clgs.scene.anchors import QuantizedAnchors, take
 from clgs.scene.photo_range import UNKNOWN
 from clgs.scene.region import Box

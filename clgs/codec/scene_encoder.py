@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.arguments import check_choice, check_integer, check_type
-from clgs.codec import contribution, octree, row_coder, weights
+from clgs.codec import octree, row_coder, smaller, weights
 from clgs.codec.attribute_model import NearRows
-from clgs.codec.container.chunks import (
+from clgs.codec.chunks import (
     DEFAULT_CHUNK,
     MAX_CHUNK,
     MIN_CHUNK,
@@ -23,7 +23,7 @@ from clgs.codec.container.chunks import (
     pack_directory,
     round_attributes,
 )
-from clgs.codec.container.meta import (
+from clgs.codec.meta import (
     LEVELS,
     Layer,
     Meta,
@@ -36,7 +36,7 @@ from clgs.codec.container.meta import (
     pack_layers,
     pack_phot,
 )
-from clgs.codec.container.sections import (
+from clgs.codec.sections import (
     ANCH,
     BODY,
     CHNK,
@@ -51,8 +51,8 @@ from clgs.codec.container.sections import (
     SCAL,
     write_container,
 )
-from clgs.codec.workers import workers
 from clgs.errors import CodecError, UsageError
+from clgs.machine import workers
 from clgs.options import MAX_LAYERS
 from clgs.scene.anchors import QuantizedAnchors, take
 from clgs.scene.camera import UNKNOWN
@@ -87,9 +87,9 @@ def encode(
         layers: cut the scene into this many layers, 1 to 64, the most useful anchors first: the
             beginning of the file up to the end of a layer is a coarser scene.
         importance: of each anchor (A,) float64, at least 0, for ``layers``; default:
-            ``clgs.codec.contribution``, opacity times area as seen from all around.
+            ``clgs.codec.smaller``, opacity times area as seen from all around.
         details: the last of several layers adds no anchors, but the precision of all others, whose
-            integers are rounded to multiples of ``clgs.codec.container.chunks.STEP`` before it.
+            integers are rounded to multiples of ``clgs.codec.chunks.STEP`` before it.
 
     Raises:
         CodecError: positions repeat or span 2^21 cells, or a weight or setting is not a sensible
@@ -101,7 +101,7 @@ def encode(
     """
     check_type("scene", scene, QuantizedScene, "a run has it as .scene, clgs.load_scene reads one")
     if chunk is None:
-        chunk = DEFAULT_CHUNK if layers is None else contribution.CHUNK
+        chunk = DEFAULT_CHUNK if layers is None else smaller.CHUNK
     check_options(level, chunk, mlp, layers)
     _check_scene(scene)
     detailed = details and layers is not None and layers > 1
@@ -223,7 +223,7 @@ def _in_layers(
             raise ValueError("importance: a number is not finite or below 0")
         importance = importance[octree.morton_order(scene.anchors.position)]
     ordered, details = replace(scene, anchors=whole), int(detailed)
-    layer = contribution.choose_layers(ordered, layers - details, importance, details)
+    layer = smaller.choose_layers(ordered, layers - details, importance, details)
     ends = [0, *np.cumsum(np.bincount(layer)).tolist()]
     return take(whole, np.argsort(layer, kind="stable")), ends
 

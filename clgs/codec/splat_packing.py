@@ -15,8 +15,9 @@ import numpy.typing as npt
 
 from clgs import _codec
 from clgs.codec import streams
-from clgs.codec.container.reader import guarded
-from clgs.codec.container.sections import (
+from clgs.codec.octree import MAX_EXTENT, PositionsError, morton_codes
+from clgs.codec.reader import guarded
+from clgs.codec.sections import (
     SATR,
     SMUL,
     SPLT,
@@ -25,7 +26,6 @@ from clgs.codec.container.sections import (
     read_container,
     write_container,
 )
-from clgs.codec.octree import MAX_EXTENT, PositionsError, morton_codes
 from clgs.errors import CodecError
 
 Ints = npt.NDArray[np.int32]

@@ -14,9 +14,9 @@ import numpy.typing as npt
 from clgs import _codec
 from clgs.arguments import check_choice
 from clgs.codec import octree, row_coder
-from clgs.codec.container.meta import LEVELS
-from clgs.codec.workers import workers
+from clgs.codec.meta import LEVELS
 from clgs.errors import CodecError
+from clgs.machine import workers
 
 POSITIONS, LATTICE, ATTRIBUTES = b"\x8bCP\x02", b"\x8bCP\x03", b"\x8bCA\x02"
 """Signatures: of positions as they are, of positions divided by their factors, of attributes."""

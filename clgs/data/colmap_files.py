@@ -18,6 +18,7 @@ from typing import Any, NoReturn
 import numpy as np
 import numpy.typing as npt
 
+from clgs.arguments import plain_float
 from clgs.data.colmap_records import (
     MAX_COORDINATE,
     PARAMETERS,
@@ -30,7 +31,6 @@ from clgs.data.colmap_records import (
 )
 from clgs.errors import DataError
 from clgs.files import in_any_case
-from clgs.quantities import plain_float
 
 _POSE = ("QW", "QX", "QY", "QZ", "TX", "TY", "TZ")
 _CAMERA = ("CAMERA_ID", "MODEL", "WIDTH", "HEIGHT")

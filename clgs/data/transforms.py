@@ -16,12 +16,12 @@ from typing import Any, NoReturn
 import numpy as np
 import numpy.typing as npt
 
+from clgs.arguments import plain_numbers
 from clgs.data.lens import Lens
 from clgs.data.locate import ListedPhoto, inside, locate_all, plain_name
 from clgs.data.posed_photo import Photo, PhotoSet, hold_out, rigid
 from clgs.errors import DataError
 from clgs.files import in_any_case
-from clgs.quantities import plain_numbers
 
 _log = logging.getLogger(__name__)
 

@@ -1,24 +1,184 @@
-"""Examines a data set: finds all faults at once, while the loader stops at the first."""
+"""Examines a data set: finds all faults at once, while the loader stops at the first.
+
+Photo files may be damaged, copied, of several sizes, of changing exposure, masked.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import os
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from clgs.data.complaints import NONE_LEFT
 from clgs.data.dataset import is_posed, read_photo_set
+from clgs.data.images import check_chunks, exif_turn, open_image
 from clgs.data.locate import PhotoFolder, locate
+from clgs.data.masks import read_mask
 from clgs.data.origin import read_origin
 from clgs.data.points import read_points
 from clgs.data.posed_photo import Photo, PhotoSet
+from clgs.data.reduction import MAX_SIZE
 from clgs.data.transforms import count_frames, read_document, read_frame
 from clgs.doctor.cameras import check_lenses, check_poses
 from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, errors_first, from_error, named
-from clgs.doctor.pictures import check_pictures, damaged
 from clgs.errors import DataError
 from clgs.files import in_any_case
 from clgs.poses.find import find_photos
+
+SMALL_SIDE = 64
+"""Pixels; smaller photos show little to learn from."""
+
+JUMP = 0.6
+"""Stops between neighbours; a larger jump is reported if it is rare."""
+
+RARE = 6.0
+"""A jump is this many times as large as the median difference of neighbours."""
+
+_THUMBNAIL = 64
+
+
+@dataclass(frozen=True)
+class _Looked:
+    """digest of the file; brightness: mean level in (0, 1]; used: share that a mask leaves.
+
+    exif: whether the file has an EXIF orientation, and whether the pixels are turned by it;
+    mask_exif: the same of its mask.
+    """
+
+    digest: bytes
+    brightness: float
+    used: float = 1.0
+    exif: tuple[bool, bool] = (False, False)
+    mask_exif: tuple[bool, bool] = (False, False)
+
+
+def check_pictures(photos: list[Photo], rendered: bool) -> Iterator[Finding]:
+    """Findings of all files; every photo is decoded, small where its format allows.
+
+    Args:
+        photos: in the order of the data set.
+        rendered: no camera took them, so that their brightness says nothing.
+    """
+    counts = Counter((photo.lens.width, photo.lens.height) for photo in photos)
+    if len(counts) > 1:
+        text = ", ".join(f"{n} of {w}x{h}" for (w, h), n in counts.most_common(4))
+        more = ", ..." * (len(counts) > 4)
+        yield Finding(NOTE, "", f"photos have several sizes: {text}{more}", "nothing to do")
+    widest = max(width for width, _ in counts)
+    if widest > MAX_SIZE:
+        problem = f"photos are up to {widest} pixels wide, and reduced to {MAX_SIZE}"
+        yield Finding(NOTE, "", problem, "--max-size 0 keeps their size; --downscale is faster")
+    tiny = [photo.name for photo in photos if min(photo.lens.width, photo.lens.height) < SMALL_SIDE]
+    if tiny:
+        problem = f"a side is shorter than {SMALL_SIDE} pixels"
+        yield Finding(WARNING, named(tiny), problem, "use the photos as they were taken")
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        looked = list(pool.map(_look, photos))
+    whole = []
+    for photo, found in zip(photos, looked, strict=True):
+        if isinstance(found, DataError):
+            fault = from_error(found)
+            yield Finding(ERROR, photo.name, fault.problem, fault.remedy)
+        else:
+            whole.append((photo.name, found))
+    yield from _copies(whole)
+    if used := [one.used for _, one in whole if one.used < 1.0]:
+        problem = f"{len(used)} photos are masked; {np.mean(used):.0%} of their pixels are used"
+        yield Finding(NOTE, "", problem, "nothing to do: what is masked is neither used nor scored")
+    yield from _orientations(whole)
+    if not rendered:
+        yield from _exposure(sorted(whole))
+
+
+def damaged(paths: list[Path]) -> list[DataError]:
+    """What is wrong with each file that cannot be read as a picture; every one is decoded."""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        looked = pool.map(_look_at, paths)
+        return [found for found in looked if isinstance(found, DataError)]
+
+
+def _look(photo: Photo) -> _Looked | DataError:
+    """The look at a photo and its mask, or what is wrong with either."""
+    found = _look_at(photo.path)
+    if isinstance(found, DataError):
+        return found
+    size = photo.lens.width, photo.lens.height
+    try:
+        found = replace(found, exif=exif_turn(photo.path, size))
+        if photo.mask is None:
+            return found
+        used = float(read_mask(photo.mask, size).mean())
+        return replace(found, used=used, mask_exif=exif_turn(photo.mask, size))
+    except DataError as error:
+        return error
+
+
+def _look_at(path: Path) -> _Looked | DataError:
+    try:
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "blake2b").digest()
+        check_chunks(path)
+        with open_image(path) as picture:
+            if picture.mode == "RGB":
+                picture.draft("RGB", (_THUMBNAIL, _THUMBNAIL))
+            picture.load()
+            deep = picture.mode.startswith("I")
+            small = picture.resize((_THUMBNAIL, _THUMBNAIL), reducing_gap=2.0)
+            levels = np.asarray(small if deep else small.convert("RGBA"), np.float64)
+    except OSError as error:
+        return DataError(f"{path}: {error.strerror or error}; replace it")
+    except DataError as error:
+        return error
+    if deep:
+        return _Looked(digest, max(float(levels.mean()) / 65535, 1e-3))
+    weight = np.maximum(levels[..., 3], 1e-9)
+    brightness = float((levels[..., :3].mean(axis=2) * weight).sum() / weight.sum()) / 255
+    return _Looked(digest, max(brightness, 1e-3))
+
+
+def _copies(whole: list[tuple[str, _Looked]]) -> Iterator[Finding]:
+    by_digest: dict[bytes, list[str]] = {}
+    for name, looked in whole:
+        by_digest.setdefault(looked.digest, []).append(name)
+    for names in by_digest.values():
+        if len(names) > 1:
+            problem = f"{len(names)} files hold the same bytes"
+            remedy = "keep one: a held-out photo that is trained on scores too well"
+            yield Finding(WARNING, named(names), problem, remedy)
+
+
+def _orientations(whole: list[tuple[str, _Looked]]) -> Iterator[Finding]:
+    for what, tags in (
+        ("photos", [(name, looked.exif) for name, looked in whole]),
+        ("masks", [(name, looked.mask_exif) for name, looked in whole]),
+    ):
+        for turned, done in ((False, "taken as stored"), (True, "turned to fit their poses")):
+            if names := [name for name, tag in tags if tag == (True, turned)]:
+                problem = f"{len(names)} {what} have an EXIF orientation; their pixels are {done}"
+                remedy = "if renders lie on the side, prepare again"
+                yield Finding(NOTE, named(names), problem, remedy)
+
+
+def _exposure(whole: list[tuple[str, _Looked]]) -> Iterator[Finding]:
+    """Jumps of brightness between photos that are neighbours by name."""
+    if len(whole) < 4:
+        return
+    stops = np.abs(np.diff(np.log2([looked.brightness for _, looked in whole])))
+    limit = max(JUMP, RARE * float(np.median(stops)))
+    jumps = [
+        f"{whole[i][0]} to {whole[i + 1][0]} ({stops[i]:.1f} stops)"
+        for i in np.flatnonzero(stops > limit)
+    ]
+    if jumps:
+        remedy = "clgs train --exposure learns it; better, fix exposure and white balance"
+        yield Finding(WARNING, named(jumps), "brightness jumps between neighbours", remedy)
+
 
 FILES = ("transforms_train.json", "transforms_test.json", "transforms.json")
 

@@ -87,7 +87,7 @@ def examine_machine() -> ExaminedMachine:
 
 
 def _memory_and_disk() -> Iterator[Finding]:
-    from clgs.opencl.absence import write_problem
+    from clgs.opencl.choose import write_problem
 
     available = available_memory()
     if available is not None and available < LEAST_MEMORY:
@@ -122,8 +122,7 @@ def _packages() -> Iterator[Finding]:
 
 def _devices() -> Iterator[Tried | Finding]:
     """Each device that passes its checks, and everything that is wrong with the others."""
-    from clgs.opencl.absence import INSTALL, reasons
-    from clgs.opencl.choose import is_emulator, survey
+    from clgs.opencl.choose import INSTALL, is_emulator, reasons, survey
 
     devices, skipped = survey()
     wrong = reasons()

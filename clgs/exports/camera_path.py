@@ -20,10 +20,10 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
+from clgs.arguments import plain_numbers
 from clgs.errors import DataError
 from clgs.exports.framing import Framing, Vector, fov_y
 from clgs.files import atomic_write
-from clgs.quantities import plain_numbers
 from clgs.scene.camera import Camera
 
 SPIRAL_TURNS = 2

@@ -15,7 +15,7 @@ import pyopencl.tools
 
 from clgs.arguments import check_type
 from clgs.errors import DeviceError, NoRoomError, UsageError
-from clgs.memory import return_unused_memory
+from clgs.machine import return_unused_memory
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.choose import (
     choose_device,
@@ -27,10 +27,9 @@ from clgs.opencl.choose import (
     too_small,
     wanted_form,
 )
+from clgs.opencl.driver_calls import KernelTimes, Profile, Waits, note_opened, tells_of_loss
 from clgs.opencl.kernel import Argument, Kernel
-from clgs.opencl.lost import note_opened, tells_of_loss
 from clgs.opencl.programs import Programs, context_of
-from clgs.opencl.timing import KernelTimes, Profile, Waits
 from clgs.opencl.transfer import Download, PinnedMemory, Transfers
 
 POOL_BITS = {"cpu": 0, "gpu": 2}

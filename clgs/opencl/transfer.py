@@ -13,8 +13,7 @@ import numpy.typing as npt
 import pyopencl as cl
 
 from clgs.opencl.array import DeviceArray
-from clgs.opencl.lost import tells_of_loss
-from clgs.opencl.timing import Waits, is_complete
+from clgs.opencl.driver_calls import Waits, is_complete, tells_of_loss
 
 LARGEST_PATTERN = 128
 """Bytes that a fill command takes along, so that nothing on the host must be kept for it."""

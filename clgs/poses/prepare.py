@@ -15,8 +15,8 @@ from PIL import Image
 from clgs.arguments import as_path
 from clgs.data.colmap_model import WORLD
 from clgs.data.images import read_image
-from clgs.errors import DataError, ExistsError, OutputError
-from clgs.files import atomic_folder, check_folder, is_full
+from clgs.errors import DataError, ExistsError, OutputError, is_full
+from clgs.files import atomic_folder, check_folder
 from clgs.poses.bring_in import LEAST_PHOTOS, bring_in, find_source
 from clgs.poses.drop import drop_doubtful as drop_doubtful_photos
 from clgs.poses.known import Known, add_photos, read_known

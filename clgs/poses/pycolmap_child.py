@@ -21,7 +21,7 @@ from typing import Any
 import PIL.Image  # noqa: F401 - only the order of the imports matters
 
 from clgs.errors import DataError
-from clgs.memory import return_freed_memory
+from clgs.machine import return_freed_memory
 
 # Pillow must be loaded before pycolmap. In the other order Pillow's PNG writer calls the zlib of
 # pycolmap and corrupts the heap (seen with pycolmap 4.2.1 and Pillow 13).

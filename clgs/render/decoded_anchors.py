@@ -15,8 +15,7 @@ from clgs.constants import K_OFFSETS
 from clgs.opencl.device import Device
 from clgs.ops import cull, mlp, neural
 from clgs.render.rasterization import default_device
-from clgs.render.splat_arguments import Floats
-from clgs.render.splat_options import check_numbers
+from clgs.render.splat_arguments import Floats, check_numbers
 from clgs.scene.anchors import AnchorSet
 from clgs.scene.camera import Camera
 from clgs.scene.mlps import MLP_SIZE

@@ -19,9 +19,8 @@ from clgs.opencl.lent import lent_array
 from clgs.ops.general import harmonics, views
 from clgs.options import DEFAULT, RenderOptions
 from clgs.render import channel_picture
-from clgs.render.splat_arguments import Floats, check_arguments
+from clgs.render.splat_arguments import Floats, check_arguments, checked_lens
 from clgs.render.splat_meta import Meta, meta_of
-from clgs.render.splat_options import checked_lens
 from clgs.render.splat_record import SMALLEST_ALPHA, Record, View
 
 ALPHA_MAX = 0.999

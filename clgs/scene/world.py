@@ -12,7 +12,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from clgs.quantities import plain_float
+from clgs.arguments import plain_float
 
 FRAMES = "local", "metres", "earth", "map"
 """One of its own units; one in metres; metres east, north and up of a place on the Earth; metres

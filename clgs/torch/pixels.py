@@ -18,7 +18,7 @@ from clgs.opencl.device import Device
 from clgs.ops.tiles import TileLists, tile_count
 from clgs.options import DEFAULT
 from clgs.render.rasterization import ALPHA_MAX, default_device
-from clgs.render.splat_options import check_size, check_tile_size
+from clgs.render.splat_arguments import check_size, check_tile_size
 from clgs.torch.functions import Blend
 from clgs.torch.tensors import BlendCall, check_shapes, eager, host_of, needed
 

@@ -12,8 +12,7 @@ from torch import Tensor
 
 from clgs.render.rasterization import default_device
 from clgs.render.rasterization import rasterization as rasterization_of_numpy
-from clgs.render.splat_arguments import check_arguments
-from clgs.render.splat_options import checked_lens
+from clgs.render.splat_arguments import check_arguments, checked_lens
 from clgs.torch.functions import Project
 from clgs.torch.tensors import ViewsCall, check_shapes, checked, eager, needed, tensor_rows
 

@@ -1,12 +1,23 @@
-"""The viewer's side of the browser: viser shows pictures, photos' cameras and controls."""
+"""The viewer's side of the browser: viser shows pictures, photos' cameras and controls.
+
+Only who may speaks to the viewer. Its address ends in a token, which other pages and other users of
+this machine do not know. The header Host must name this machine: a page whose name is made to lead
+here (DNS rebinding) gives its own. The header Origin, which browsers add, must be that of the
+viewer's own page.
+"""
 
 from __future__ import annotations
 
 import io
+import secrets
+import socket
 import warnings
-from contextlib import redirect_stdout
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stdout
+from dataclasses import dataclass, replace
+from ipaddress import ip_address
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 import numpy.typing as npt
@@ -14,9 +25,89 @@ import numpy.typing as npt
 from clgs.data.view import View
 from clgs.errors import ClgsError
 from clgs.exports.framing import Framing
-from clgs.viewer.guard import guarded
-from clgs.viewer.live import Eye, Follower, LiveScene, eye_of
-from clgs.viewer.photos import RENDER, SHOWN, compare, names_of, stands_at
+from clgs.viewer.live import (
+    RENDER,
+    SHOWN,
+    Eye,
+    Follower,
+    LiveScene,
+    compare,
+    eye_of,
+    names_of,
+    stands_at,
+)
+
+REFUSED = "open the address that `clgs view` has printed\n"
+
+
+def may_enter(host: str, token: str, path: str, hosts: list[str], origins: list[str]) -> bool:
+    """Whether a request is answered.
+
+    Args:
+        host: the name or the address that the server listens at.
+        token: the first part of every path.
+        path: of the request.
+        hosts: its headers Host.
+        origins: its headers Origin; programs that are no browsers send none.
+    """
+    first = path.partition("?")[0].split("/")[1:2]
+    if not first or not secrets.compare_digest(ascii(first[0]), ascii(token)):
+        return False
+    try:
+        (netloc,) = hosts
+        name = (urlsplit(f"//{netloc}").hostname or "").rstrip(".")
+        own_pages = all(urlsplit(origin).netloc.lower() == netloc.lower() for origin in origins)
+    except ValueError:
+        return False
+    return own_pages and _is_here(name, host)
+
+
+def _is_here(name: str, host: str) -> bool:
+    """Whether a name of a Host header is this machine's, or an address: no page is named by one."""
+    own = socket.gethostname().lower()
+    if name in ("localhost", host.lower(), own, f"{own}.local", own.partition(".")[0]):
+        return bool(name)
+    try:
+        ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+@contextmanager
+def guarded(host: str, token: str) -> Iterator[None]:
+    """Servers of web sockets that are opened in the block answer only whom :func:`may_enter` lets.
+
+    viser has no hook of its own for this.
+
+    Raises:
+        ClgsError: viser has not opened its server by the function that is guarded.
+    """
+    from websockets.asyncio import server as sockets
+
+    plain, used = sockets.serve, False
+
+    def serve(*args: Any, process_request: Callable[[Any, Any], Any], **options: Any) -> Any:
+        nonlocal used
+        used = True
+
+        def answer(connection: Any, request: Any) -> Any:
+            get = request.headers.get_all
+            if not may_enter(host, token, request.path, get("Host"), get("Origin")):
+                return connection.respond(403, REFUSED)
+            inside = request.path.partition("?")[0].split("/", 2)[2:]
+            return process_request(connection, replace(request, path=f"/{''.join(inside)}"))
+
+        return plain(*args, process_request=answer, **options)
+
+    sockets.serve = serve  # type: ignore[assignment,misc]  # a function for a class
+    try:
+        yield
+    finally:
+        sockets.serve = plain  # type: ignore[misc]  # the class again
+    if not used:
+        raise ClgsError("this version of viser opens its server in an unknown way; install 1.1")
+
 
 FRUSTUM_DEPTH = 0.05
 """Size of a photo's camera as a share of the ring's radius."""
@@ -65,7 +156,7 @@ def load_viser() -> Any:
 def open_server(shown: Shown, host: str, port: int, token: str) -> Any:
     """A viser server that shows a scene until :func:`close_server`; ``get_port()`` is its port.
 
-    Its page is at http://HOST:PORT/TOKEN/, see :mod:`clgs.viewer.guard`.
+    Its page is at http://HOST:PORT/TOKEN/, see :mod:`clgs.viewer.server`.
 
     Raises:
         ClgsError: viser is missing, or the port cannot be opened.

@@ -11,16 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.arguments import as_path
-from clgs.bake.bake import (
-    BakedLoss,
-    BakeSettings,
-    BakeView,
-    bake,
-    baked_loss,
-    count_steps,
-    evenly,
-)
-from clgs.bake.cameras import cameras_around
 from clgs.codec import scene_decoder, splat_packing
 from clgs.codec.scene_encoder import encode
 from clgs.data.dataset import load_dataset
@@ -29,9 +19,8 @@ from clgs.data.posed_photo import to_y_up
 from clgs.data.splats.integer_splats import read_splats
 from clgs.data.view import Planes, View
 from clgs.errors import DataError, UsageError
-from clgs.exports.cameras import cameras_glb
+from clgs.exports.glb import cameras_glb, encode_glb
 from clgs.exports.page import scene_page, start_at
-from clgs.exports.splats.glb import encode_glb
 from clgs.exports.splats.ply import Encoded, encode_ply, file_units
 from clgs.exports.splats.sog import encode_sog
 from clgs.exports.splats.spz import encode_spz, fraction_bits
@@ -40,6 +29,16 @@ from clgs.opencl.device import Device
 from clgs.scene.gaussians import HostGaussians
 from clgs.scene.scene import IDENTITY, QuantizedScene, SceneTransform, SplatScene
 from clgs.scene.world import EARTH, in_words
+from clgs.workflow.bake import (
+    BakedLoss,
+    BakeSettings,
+    BakeView,
+    bake,
+    baked_loss,
+    cameras_around,
+    count_steps,
+    evenly,
+)
 from clgs.workflow.events import Note, OnEvent, counter, ignore
 from clgs.workflow.options import BAKE_STEPS, SH_DEGREES, ViewOptions
 from clgs.workflow.outputs import check_new

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from clgs.codec.container.sections import BytesSource, FileSource
 from clgs.codec.scene_decoder import decode, decode_box
+from clgs.codec.sections import BytesSource, FileSource
 from clgs.codec.splat_packing import is_splats, unpack
 from clgs.data.splats.sog import images_in
 from clgs.errors import CodecError, DataError

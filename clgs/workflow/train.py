@@ -12,7 +12,7 @@ from clgs.data.origin import repose
 from clgs.errors import DataError, UsageError
 from clgs.exports.report import REPORT, write_run_report
 from clgs.files import check_folder, write_json
-from clgs.memory import return_freed_memory
+from clgs.machine import return_freed_memory
 from clgs.opencl.device import Device
 from clgs.train.config import TrainConfig
 from clgs.train.run.load import load_for, state_of_run

@@ -16,8 +16,8 @@ from clgs.opencl.device import Device
 from clgs.render.renderer import Renderer
 from clgs.scene.scene import QuantizedScene
 from clgs.train.quality.scores import mean_psnr
-from clgs.workflow.encode import encode_within, importance_in_views
 from clgs.workflow.options import ViewOptions
+from clgs.workflow.smaller import encode_within, importance_in_views
 from clgs.workflow.views import drawing_options, select_views
 
 

@@ -34,8 +34,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from clgs.opencl.programs import Defines, build_options
-from clgs.opencl.source import programs_of_form, read_program
+from clgs.opencl.programs import Defines, build_options, programs_of_form, read_program
 from clgs.ops.general.channels import CHUNK, FEW_REGISTERS_CHUNK
 from clgs.ops.mlp import FEW_REGISTERS
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from clgs import _codec
 from clgs.codec import attribute_search, octree, row_coder, weights
-from clgs.codec.container.reader import SceneReader
-from clgs.codec.container.sections import BytesSource, read_container
+from clgs.codec.reader import SceneReader
+from clgs.codec.sections import BytesSource, read_container
 
 GOLDEN = Path(__file__).resolve().parents[2] / "tests" / "codec" / "golden"
 Seed = tuple[str, str, bytes]

@@ -51,7 +51,7 @@ def stored_row(folder: Path, run: str) -> Row | None:
 
 def _make_row(job: Task, folder: Path, tell: Tell) -> Row:
     """Train and measure."""
-    from clgs.memory import return_freed_memory
+    from clgs.machine import return_freed_memory
     from clgs.train.run.load import load_for
     from clgs.train.run.session import train_scene
     from reproduce.measure import measure

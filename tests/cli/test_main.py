@@ -16,7 +16,7 @@ import pytest
 
 from clgs import __version__
 from clgs.cli import main as cli
-from clgs.cli.examples import EXAMPLES
+from clgs.cli.parser import EXAMPLES
 from clgs.errors import ClgsError, CodecError, DataError, DeviceError
 
 

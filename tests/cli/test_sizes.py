@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from clgs.arguments import byte_count, seconds
 from clgs.cli.main import build_parser, main
-from clgs.quantities import byte_count, seconds
 from clgs.train.config import from_toml
 from tests.cli.calls import exit_code
 from tests.small_scene import write_scene

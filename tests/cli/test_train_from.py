@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from clgs.cli.main import build_parser
-from clgs.cli.training_options import make_config
+from clgs.cli.options import make_config
 from clgs.train.config import preset
 
 

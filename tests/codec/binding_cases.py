@@ -16,7 +16,7 @@ from clgs.codec import (
     morton_order,
 )
 from clgs.codec.attribute_model import CHANNEL
-from clgs.codec.container.meta import LEVELS
+from clgs.codec.meta import LEVELS
 from clgs.errors import CodecError
 
 Stream = tuple[Callable[[bytes], object], bytes]

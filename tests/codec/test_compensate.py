@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clgs.codec.fit_size import compensated, hidden_products
+from clgs.codec.smaller import compensated, hidden_products
 from clgs.scene.mlps import MLP_SIZE, Mlps, init_mlps
 
 

@@ -17,7 +17,7 @@ import pytest
 
 from clgs import codec
 from clgs.codec import row_coder, weights
-from clgs.codec.container.meta import LEVELS
+from clgs.codec.meta import LEVELS
 from clgs.codec.octree import runs
 from codec_c.reader import attributes as reader_attributes
 from codec_c.reader import files as reader_files

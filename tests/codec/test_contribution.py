@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.codec.contribution import contribution
+from clgs.codec.smaller import contribution
 from clgs.reference import mlp, neural
 from clgs.scene.anchors import take
 from tests.web.scenes import quantized_scene
@@ -56,7 +56,7 @@ def test_without_cameras_it_grows_with_the_square_of_the_size(scene):
 def test_batches_do_not_matter_and_nothing_is_nothing(scene, monkeypatch):
     quantized, camera = scene
     whole = contribution(quantized, [camera])
-    monkeypatch.setattr("clgs.codec.contribution.BATCH", 7)
+    monkeypatch.setattr("clgs.codec.smaller.BATCH", 7)
     np.testing.assert_allclose(contribution(quantized, [camera]), whole, rtol=1e-12)
     empty = replace(quantized, anchors=take(quantized.anchors, slice(0, 0)))
     assert contribution(empty).shape == (0,)

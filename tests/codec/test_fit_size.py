@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.codec.fit_size import anchor_bits, coarsen, fit_coarsened, fit_size, hidden_products, take
 from clgs.codec.scene_decoder import decode
 from clgs.codec.scene_encoder import encode
+from clgs.codec.smaller import anchor_bits, coarsen, fit_coarsened, fit_size, hidden_products, take
 from clgs.errors import UsageError
 from clgs.scene.anchors import QuantizationScales
 from clgs.scene.mlps import MLP_SIZE, Mlps, init_mlps

@@ -10,13 +10,12 @@ import numpy.typing as npt
 import pytest
 
 from clgs import _codec, codec
-from clgs.codec import octree, row_coder, splat_packing, streams, weights
+from clgs.codec import chunks, octree, row_coder, splat_packing, streams, weights
 from clgs.codec.attribute_model import find_near
-from clgs.codec.container import chunks
-from clgs.codec.container.meta import Layer, pack_layers, unpack_layers
-from clgs.codec.container.sections import MAGIC, SPLATS, BytesSource, read_section, read_table
+from clgs.codec.meta import Layer, pack_layers, unpack_layers
 from clgs.codec.scene_decoder import decode
 from clgs.codec.scene_encoder import encode
+from clgs.codec.sections import MAGIC, SPLATS, BytesSource, read_section, read_table
 from clgs.scene.anchors import QuantizedAnchors
 from clgs.scene.mlps import MLP_SIZE, Mlps
 from clgs.scene.scene import QuantizedScene

@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 
 from clgs import _codec, codec
-from clgs.codec import row_coder
+from clgs.codec import chunks, row_coder
 from clgs.codec.attribute_model import KNOWN, MIXED, empty_model
-from clgs.codec.container import chunks
-from clgs.codec.container.meta import LEVELS
-from clgs.codec.container.reader import SceneReader
-from clgs.codec.container.sections import BytesSource, read_table
+from clgs.codec.meta import LEVELS
+from clgs.codec.reader import SceneReader
 from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode
+from clgs.codec.sections import BytesSource, read_table
 from clgs.codec.splat_packing import QuantizedSplats, is_splats, pack, unpack
 from clgs.errors import CodecError
 from clgs.scene.mlps import MLP_SIZE, Mlps

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from clgs.cli.main import main
-from clgs.codec.container.sections import write_container
 from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode
+from clgs.codec.sections import write_container
 from clgs.codec.splat_packing import QuantizedSplats, pack, quantize, sort_splats, unpack
 from clgs.data.splats.ply import PlyTable, pack_ply, read_ply
 from clgs.errors import CodecError

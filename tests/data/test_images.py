@@ -21,7 +21,7 @@ from clgs.data.images import (
     scales_evenly,
 )
 from clgs.data.masks import USED, read_mask
-from clgs.doctor.pictures import damaged
+from clgs.doctor.dataset import damaged
 from clgs.errors import DataError
 from tests.data.folders import noise_image
 

@@ -15,7 +15,7 @@ from clgs.doctor import machine
 from clgs.doctor.finding import ERROR, WARNING
 from clgs.doctor.machine import examine_machine
 from clgs.machine import available_memory
-from clgs.opencl import absence, choose
+from clgs.opencl import choose
 
 
 @pytest.mark.slow
@@ -48,7 +48,7 @@ def no_packages(monkeypatch):
 @pytest.fixture
 def pocl_alone():
     names = [device.platform.name for device in choose.list_devices()]
-    if set(names) != {"Portable Computing Language"} or not absence.drivers():
+    if set(names) != {"Portable Computing Language"} or not choose.drivers():
         pytest.skip("needs PoCL from the system, and no other driver")
 
 
@@ -121,13 +121,13 @@ def test_a_variable_that_says_nothing_known_is_to_be_corrected(monkeypatch, vari
 
 def test_the_cache_follows_its_variables(monkeypatch):
     monkeypatch.setenv("POCL_CACHE_DIR", "/a")
-    assert absence.pocl_cache() == Path("/a")
+    assert choose.pocl_cache() == Path("/a")
     monkeypatch.delenv("POCL_CACHE_DIR")
     monkeypatch.setenv("XDG_CACHE_HOME", "/b")
-    assert absence.pocl_cache() == Path("/b/pocl/kcache")
+    assert choose.pocl_cache() == Path("/b/pocl/kcache")
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setenv("HOME", "/c")
-    assert absence.pocl_cache() == Path("/c/.cache/pocl/kcache")
+    assert choose.pocl_cache() == Path("/c/.cache/pocl/kcache")
 
 
 def test_memory_is_known_on_linux():

@@ -16,7 +16,7 @@ import trimesh
 from clgs.cli import main as cli
 from clgs.data.dataset import load_dataset
 from clgs.data.points import read_points
-from clgs.exports.cameras import CAMERA_COLORS, FRUSTUM_DEPTH, cameras_glb
+from clgs.exports.glb import CAMERA_COLORS, FRUSTUM_DEPTH, cameras_glb
 from clgs.scene.scene import SceneTransform
 from tests.small_scene import write_scene
 

@@ -12,12 +12,12 @@ from itertools import chain
 from pathlib import Path, PurePath
 
 LAYERS = [  # a package may import from its own row and the rows above it
-    {"arguments", "constants", "errors", "explain", "ffmpeg", "files", "machine", "memory"}
-    | {"options", "quantities", "reference", "shapes", "signals"},
+    {"arguments", "constants", "errors", "ffmpeg", "files", "machine"}
+    | {"options", "reference", "shapes"},
     {"opencl", "scene"},
     {"ops", "codec", "data"},
     {"render", "exports", "poses"},
-    {"bake", "jax", "torch", "train"},
+    {"jax", "torch", "train"},
     {"cluster", "viewer", "workflow"},
     {"cli", "doctor"},
     {"__main__", "lab"},  # the laboratory measures the product, which never needs it

@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 from clgs import constants
-from clgs.opencl.signature import preprocess
-from clgs.opencl.source import kernel_root, program_file, program_files, read_program
+from clgs.opencl.kernel import preprocess
+from clgs.opencl.programs import kernel_root, program_file, program_files, read_program
 from clgs.options import PARITY, Skips
 from tests.house.rules import op_paths
 

@@ -10,8 +10,8 @@ import pyopencl as cl
 import pytest
 
 from clgs.opencl.choose import LEAST_LOCAL_MEMORY, LEAST_WORK_GROUP
-from clgs.opencl.signature import DTYPES, signatures
-from clgs.opencl.source import kernel_root, program_files, read_program
+from clgs.opencl.kernel import DTYPES, signatures
+from clgs.opencl.programs import kernel_root, program_files, read_program
 from tests.house.rules import kernels_in, plain_c
 
 PROGRAMS = program_files()

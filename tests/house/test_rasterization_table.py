@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import clgs
-from clgs.render.splat_options import REFUSED, REFUSED_LATER
+from clgs.render.splat_arguments import REFUSED, REFUSED_LATER
 from tests.render.splat_scene import scene
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "rasterization.md"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from clgs.opencl.source import programs_of_form, read_program
+from clgs.opencl.programs import programs_of_form, read_program
 from tests.house.rules import kernels_in
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -12,7 +12,7 @@ import pytest
 
 from clgs.opencl import programs
 from clgs.opencl.device import Device
-from clgs.opencl.signature import signatures
+from clgs.opencl.kernel import signatures
 
 SOURCE = """
 #define ONE(n) __global float *sum##n, const float factor##n

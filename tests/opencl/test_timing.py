@@ -6,7 +6,7 @@ import numpy as np
 import pyopencl as cl
 import pytest
 
-from clgs.opencl.timing import Waits
+from clgs.opencl.driver_calls import Waits
 from clgs.ops import adam
 
 

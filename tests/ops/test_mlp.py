@@ -12,7 +12,7 @@ import pytest
 
 from clgs import constants
 from clgs.lab.kernels import drawn_output, drawn_rows
-from clgs.opencl import source
+from clgs.opencl import programs
 from clgs.opencl.programs import literal
 from clgs.ops import mlp
 from clgs.options import DEFAULT, RenderOptions, Skips
@@ -385,8 +385,8 @@ def test_the_kernels_lay_out_what_python_allocates(device, monkeypatch, few):
     if few and device.specialisation == "cpu":
         pytest.skip("a CPU has no work-groups")
     monkeypatch.setattr(type(device), "has_few_registers", property(lambda self: few))
-    file = source.program_file("mlp/backward", device.specialisation)
-    text = source.read_program(file) + (
+    file = programs.program_file("mlp/backward", device.specialisation)
+    text = programs.read_program(file) + (
         "\n__kernel void sizes(__global int *out) {"
         " out[0] = (int)BATCH_SIZE; out[1] = (int)part_size(); }"
     )

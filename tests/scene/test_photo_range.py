@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.codec.container.meta import pack_phot, unpack_phot
+from clgs.codec.meta import pack_phot, unpack_phot
 from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode
 from clgs.constants import BLUR, NEAR_PLANE

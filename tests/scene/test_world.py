@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 from clgs.cli.main import main
-from clgs.codec.container.meta import pack_geor, unpack_geor
+from clgs.codec.meta import pack_geor, unpack_geor
 from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode
 from clgs.data.splats.anchors import load_scaffold, save_scaffold
 from clgs.data.splats.gaussians import load_splats
 from clgs.data.splats.integer_splats import read_splats
 from clgs.errors import CodecError
-from clgs.exports.splats.glb import encode_glb
+from clgs.exports.glb import encode_glb
 from clgs.exports.splats.ply import encode_ply
 from clgs.exports.splats.sog import encode_sog
 from clgs.exports.splats.spz import encode_spz

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from clgs.cli import training_options as training
+from clgs.cli import options as training
 from clgs.cli.main import build_parser
 from clgs.cli.parser import Parser
 from clgs.errors import UsageError

@@ -15,15 +15,21 @@ from clgs.render.renderer import Renderer
 from clgs.scene.scene import RenderSettings, SplatScene
 from clgs.train.quality.scores import to_8bit
 from clgs.viewer.live import (
+    ERROR,
+    HALVES,
     MOVING_LEAST,
+    PHOTO,
+    RENDER,
     Eye,
     Follower,
     LiveScene,
+    compare,
     eye_of,
+    names_of,
     scene_importance,
     splat_importance,
+    stands_at,
 )
-from clgs.viewer.photos import ERROR, HALVES, PHOTO, RENDER, compare, names_of, stands_at
 from tests.codec.scenes import random_scene
 from tests.exports.test_paths import ring
 from tests.ops.cases.splats import stored

@@ -12,9 +12,8 @@ from PIL import Image
 
 from clgs.exports.framing import frame_cameras, frame_scene
 from clgs.lab.scenes import anchor_scene
-from clgs.viewer.guard import may_enter
 from clgs.viewer.live import LiveScene, eye_of
-from clgs.viewer.server import Shown, box_edges, close_server, open_server
+from clgs.viewer.server import Shown, box_edges, close_server, may_enter, open_server
 from tests.codec.scenes import random_scene
 from tests.exports.test_paths import ring
 from tests.viewer.test_live import photo_view

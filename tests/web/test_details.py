@@ -11,9 +11,11 @@ import pytest
 from clgs import _codec
 from clgs.codec import row_coder
 from clgs.codec.attribute_model import KNOWN, empty_model
-from clgs.codec.container.chunks import ROWS, TAGS, known_channels, pack_details
-from clgs.codec.container.reader import SceneReader
-from clgs.codec.container.sections import (
+from clgs.codec.chunks import ROWS, TAGS, known_channels, pack_details
+from clgs.codec.reader import SceneReader
+from clgs.codec.scene_decoder import decode, describe
+from clgs.codec.scene_encoder import encode
+from clgs.codec.sections import (
     BODY,
     DETL,
     LAYR,
@@ -22,8 +24,6 @@ from clgs.codec.container.sections import (
     read_table,
     write_container,
 )
-from clgs.codec.scene_decoder import decode, describe
-from clgs.codec.scene_encoder import encode
 from tests.codec.container.damage import directory, rebuilt
 from tests.codec.scenes import random_scene
 from tests.web import native

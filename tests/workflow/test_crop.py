@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clgs.codec.container.sections import BytesSource
 from clgs.codec.scene_decoder import decode, decode_box
 from clgs.codec.scene_encoder import encode
+from clgs.codec.sections import BytesSource
 from clgs.data.dataset import load_dataset
 from clgs.data.origin import repose
 from clgs.data.splats.anchors import save_scaffold
@@ -20,8 +20,8 @@ from clgs.scene.mlps import MLP_SIZE, Mlps
 from clgs.scene.region import Box, Sphere
 from clgs.scene.scene import QuantizedScene, SceneTransform
 from clgs.scene.storage import save_scene
-from clgs.workflow.crop import crop
 from clgs.workflow.options import ViewOptions
+from clgs.workflow.smaller import crop
 from tests.cli.calls import exit_code
 from tests.codec.scenes import random_scene
 from tests.data.folders import write_transforms

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import pytest
 
 from clgs.workflow.events import Note, StageProgress, StageRecord
+from clgs.workflow.runs.clocks import PosesClock
 from clgs.workflow.runs.plan import Photos, PosesTime, StepSpeed, TrainingPlan, poses_time
-from clgs.workflow.runs.poses_clock import PosesClock
 from clgs.workflow.runs.run import CORES, _Planner
 
 PLANNED = PosesTime(features=20.0, matches=10.0, other=30.0)

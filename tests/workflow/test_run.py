@@ -17,7 +17,7 @@ from clgs.cli import main as cli
 from clgs.errors import DataError
 from clgs.train.config import from_toml
 from clgs.train.run.run_folder import FolderLock
-from clgs.workflow.runs import device_speed, stages
+from clgs.workflow.runs import clocks, stages
 from clgs.workflow.runs.plan import Photos
 from clgs.workflow.runs.record import RunRecord, find_input
 from clgs.workflow.runs.run import run
@@ -33,7 +33,7 @@ def _quick():
     """Training starts from few points, and the speed of its steps is measured once."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("clgs.data.points.HULL_POINTS", 4000)
-        patch.setattr(stages, "speed_on", once(device_speed.speed_on))
+        patch.setattr(stages, "speed_on", once(clocks.speed_on))
         yield
 
 

@@ -11,7 +11,7 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from clgs.cli.shared_options import duration
+from clgs.cli.options import duration
 from clgs.workflow.runs.plan import (
     CLIP_SHARE,
     CLIPS,

@@ -10,8 +10,8 @@ from types import SimpleNamespace
 import pytest
 
 from clgs.cli import main as cli
-from clgs.cli.shared_options import duration
-from clgs.workflow.runs import device_speed, stages
+from clgs.cli.options import duration
+from clgs.workflow.runs import clocks, stages
 from clgs.workflow.runs.plan import FRAMES, LEAST_SHARE, Photos, StepSpeed, frames_within
 from clgs.workflow.runs.run import _Planner
 from tests.small_scene import write_scene
@@ -37,7 +37,7 @@ def test_plan_takes_as_many_frames_of_a_video_as_the_time_allows(tmp_path, monke
     writer.send(None)
     writer.send(bytes(96 * 64 * 3))
     writer.close()
-    monkeypatch.setattr(stages, "synthetic_speed", once(device_speed.synthetic_speed))
+    monkeypatch.setattr(stages, "synthetic_speed", once(clocks.synthetic_speed))
     for allowed in ("1m", "2h"):
         words = ["run", str(clip), "-o", str(tmp_path / "out"), "--plan", "--time", allowed]
         assert cli.main(words) == 0

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.shared_options import add_cluster, add_device_name, named_path
+from clgs.cli.options import add_cluster, add_device_name, named_path
 from clgs.cli.tell import tell
 
 if TYPE_CHECKING:

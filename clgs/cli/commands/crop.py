@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.shared_options import (
+from clgs.cli.options import (
     add_box,
     add_device_name,
     add_files,
@@ -74,14 +74,14 @@ def run(args: argparse.Namespace) -> int:
 
     from clgs.cli.commands.encode import show
     from clgs.cli.display import Display
-    from clgs.codec.container.chunks import DEFAULT_CHUNK
+    from clgs.codec.chunks import DEFAULT_CHUNK
     from clgs.codec.scene_encoder import check_options, encode
     from clgs.errors import UsageError
     from clgs.files import atomic_write
     from clgs.scene.region import Box, Sphere
-    from clgs.workflow.crop import crop
     from clgs.workflow.outputs import check_new, check_suffix
     from clgs.workflow.scenes import read_scene, run_folder
+    from clgs.workflow.smaller import crop
     from clgs.workflow.views import check_photo_options, known_data
 
     if not (args.box or args.sphere or args.object or args.seen):

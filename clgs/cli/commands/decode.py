@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from clgs.cli.shared_options import add_box, add_files, add_threads, positive_int
+from clgs.cli.options import add_box, add_files, add_threads, positive_int
 
 DESCRIPTION = """\
 Decompress a .clgs file into a NumPy archive, or into a PLY file as the reference code writes it.

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.shared_options import (
+from clgs.cli.options import (
     add_device_name,
     add_files,
     add_level,
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from clgs.scene.scene import QuantizedScene
-    from clgs.workflow.encode import FittedScene
+    from clgs.workflow.smaller import FittedScene
 
 DESCRIPTION = """\
 Compress a trained scene into one .clgs file.
@@ -134,7 +134,7 @@ def run(args: argparse.Namespace) -> int:
     _check_together(args.all_views, target, args.layers)
     views = view_options(vars(args))
     if target or args.layers or args.data:  # imports much that a plain encode does not need
-        from clgs.workflow.encode import encode_within, importance_in_views, with_photos
+        from clgs.workflow.smaller import encode_within, importance_in_views, with_photos
         from clgs.workflow.views import data_of, known_data
     if (target or args.layers) and views.data is None:
         needed = args.target_psnr is not None or args.all_views

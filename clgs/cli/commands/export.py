@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.shared_options import (
+from clgs.cli.options import (
     AS_TRAINED,
     add_device_name,
     add_masks,

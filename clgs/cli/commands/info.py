@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Iterator
 from typing import Any
 
-from clgs.cli.shared_options import named_path
+from clgs.cli.options import named_path
 
 LESS_MEMORY = "end other programs, or use a machine that has more"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from clgs.cli.shared_options import add_files, add_level, add_threads, in_range
+from clgs.cli.options import add_files, add_level, add_threads, in_range
 
 DESCRIPTION = """\
 Compress an ordinary 3DGS file (PLY: x y z, f_dc_*, f_rest_*, opacity, scale_*, rot_*, ...).

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from clgs.cli.shared_options import (
+from clgs.cli.options import (
     add_device_name,
     add_overwrite,
     chosen,

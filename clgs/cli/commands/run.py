@@ -6,9 +6,10 @@ import argparse
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from clgs.cli.shared_options import (
+from clgs.cli.options import (
     add_device_name,
     add_masks,
+    add_option,
     add_overwrite,
     chosen,
     duration,
@@ -18,7 +19,6 @@ from clgs.cli.shared_options import (
     positive_int,
     seed,
 )
-from clgs.cli.training_options import add_option
 from clgs.errors import UsageError
 from clgs.train.config import TrainConfig, parse_word
 from clgs.train.config.option import options_of
@@ -144,12 +144,12 @@ def run(args: argparse.Namespace) -> int:
 def _show(record: object) -> None:
     """Print a plan, the box of the finished run, or the record of a stage as its command does."""
     from clgs.cli.commands import encode, eval, export, prepare, render, train
-    from clgs.workflow.encode import EncodedFile
     from clgs.workflow.evaluate import Evaluation
     from clgs.workflow.pictures import Clip
     from clgs.workflow.prepare import PreparedData
     from clgs.workflow.runs.plan import TrainingPlan
     from clgs.workflow.runs.record import FinishedRun, RunPlan
+    from clgs.workflow.smaller import EncodedFile
     from clgs.workflow.train import TrainedRun
 
     show: dict[type, Callable[[Any], None]] = {

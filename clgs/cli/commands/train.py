@@ -7,14 +7,15 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.shared_options import (
+from clgs.cli.options import (
     add_cluster,
     add_device_name,
     add_overwrite,
+    add_training_options,
     chosen,
+    make_config,
     named_path,
 )
-from clgs.cli.training_options import add_training_options, make_config
 from clgs.errors import UsageError
 
 if TYPE_CHECKING:

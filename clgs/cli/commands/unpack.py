@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from clgs.cli.shared_options import add_files, add_threads
+from clgs.cli.options import add_files, add_threads
 
 LESS_MEMORY = "--threads 1 needs less"
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.shared_options import (
+from clgs.cli.options import (
     AS_TRAINED,
     add_box,
     add_masks,

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from clgs.arguments import plain_numbers
 from clgs.data.images import list_images
 from clgs.data.lens import Lens
 from clgs.data.locate import ListedPhoto, locate_all
 from clgs.data.posed_photo import PhotoSet, hold_out, rigid
 from clgs.data.transforms import FOCAL_LENGTHS, read_json
 from clgs.errors import DataError
-from clgs.quantities import plain_numbers
 
 Floats = npt.NDArray[np.float64]
 

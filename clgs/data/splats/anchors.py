@@ -21,12 +21,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from clgs.arguments import plain_float
 from clgs.codec.octree import MAX_EXTENT
 from clgs.constants import FEATURE_DIM, HEAD_DIMS, K_OFFSETS
 from clgs.data.splats.ply import PlyTable, narrowest, pack_ply, read_ply
 from clgs.errors import DataError, OutputError, UsageError
 from clgs.files import atomic_write_all, check_target
-from clgs.quantities import plain_float
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
 from clgs.scene.mlps import LAYERS, MLP_SIZE, Mlps, unpack_head
 from clgs.scene.scene import MIN_Q, QuantizedScene, RenderSettings, SceneTransform, check_ranges

@@ -28,7 +28,7 @@ from clgs.codec import (
     encode_positions,
     morton_order,
 )
-from clgs.codec.container.meta import LEVELS
+from clgs.codec.meta import LEVELS
 from clgs.codec.scene_decoder import decode
 from clgs.codec.scene_encoder import encode
 from clgs.codec.streams import check_integers

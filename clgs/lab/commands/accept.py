@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from clgs.cli.shared_options import add_overwrite, positive_int
+from clgs.cli.options import add_overwrite, positive_int
 from clgs.errors import UsageError
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from clgs.cli.shared_options import (
+from clgs.cli.options import (
     add_device_name,
     add_overwrite,
     add_size_options,

@@ -8,7 +8,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.shared_options import add_overwrite, named_path
+from clgs.cli.options import add_overwrite, named_path
 from clgs.lab.selftest import SHIPPED
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clgs.cli.shared_options import add_overwrite
+from clgs.cli.options import add_overwrite
 from clgs.lab.devices import add_device_option, open_devices
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the checks; exit code 0, or 1 if one fails."""
     from dataclasses import asdict
 
-    from clgs.explain import explain
+    from clgs.errors import explain
     from clgs.files import write_json
     from clgs.lab.figures import machine_facts
     from clgs.lab.selftest.render_checks import selftest

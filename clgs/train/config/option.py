@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cache
 from typing import Any, get_type_hints
 
+from clgs.arguments import OTHER_DIGITS, byte_count, has_other_digits, number
 from clgs.errors import UsageError
-from clgs.quantities import OTHER_DIGITS, byte_count, has_other_digits, number
 
 METADATA = "option"
 """Key of a field's metadata under which its declaration lies."""

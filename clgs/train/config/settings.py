@@ -16,11 +16,10 @@ from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
-from clgs.arguments import check_type
+from clgs.arguments import check_type, number
 from clgs.data.reduction import OBJECT
 from clgs.errors import UsageError
 from clgs.options import RenderOptions, render_options
-from clgs.quantities import number
 from clgs.train.config.option import WEIGHT, at_least, option, options_of
 from clgs.train.config.run_settings import (
     FULL_STEPS,

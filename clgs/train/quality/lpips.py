@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clgs.codec.workers import processors
 from clgs.errors import ClgsError, DataError
+from clgs.machine import processors
 from clgs.scene.storage import DAMAGE, check_members, describe_damage
 from clgs.shapes import Shapes
 

@@ -13,11 +13,11 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from clgs.codec.contribution import contribution
-from clgs.codec.fit_size import (
+from clgs.codec.smaller import (
     Factors,
     anchor_bits,
     coarsen,
+    contribution,
     fit_coarsened,
     hidden_products,
     least_size,

@@ -23,12 +23,12 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.arguments import check_type
-from clgs.codec.workers import processors, workers
 from clgs.constants import K_OFFSETS, SSIM_C1, SSIM_C2, SSIM_SIGMA, SSIM_WINDOW
 from clgs.data.view import Color, View, with_photos
 from clgs.errors import ClgsError, UsageError
 from clgs.exports.pictures import picture_names
 from clgs.files import append, atomic_write, atomic_write_all
+from clgs.machine import processors, workers
 from clgs.opencl.device import Device
 from clgs.ops import cull, mlp, neural
 from clgs.options import DEFAULT, RenderOptions

@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from clgs.codec.fit_size import anchor_bits
+from clgs.codec.smaller import anchor_bits
 from clgs.data.view import View
 from clgs.opencl.device import Device
 from clgs.ops import loss, mask, rate

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from clgs.codec.fit_size import POSITION_BITS
+from clgs.codec.smaller import POSITION_BITS
 from clgs.opencl.device import Device
 from clgs.ops import rate
 from clgs.render.frame import SceneGradients

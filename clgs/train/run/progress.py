@@ -15,8 +15,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-from clgs.errors import ClgsError, DataError
-from clgs.files import append, atomic_write, is_full, text_bytes
+from clgs.errors import ClgsError, DataError, is_full
+from clgs.files import append, atomic_write, text_bytes
 from clgs.train.run.trainer import StepResult, Trainer
 
 COLUMNS = ("step", "seconds", "loss", "l1", "ssim", "psnr", "anchors", "estimated_bytes", "event")

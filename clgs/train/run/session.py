@@ -17,12 +17,11 @@ from clgs.data.view import View
 from clgs.errors import DataError, UsageError
 from clgs.exports.pictures import PictureFolder
 from clgs.files import atomic_write, make_folder, write_json
-from clgs.memory import peak_memory
+from clgs.machine import interruptions, peak_memory
 from clgs.opencl.device import Device
 from clgs.render.renderer import Renderer
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import save_scene
-from clgs.signals import interruptions
 from clgs.train.config import TrainConfig
 from clgs.train.quality.rate_control import MAX_VIEWS, SceneJudge, reduce_to_size, spread
 from clgs.train.quality.scores import evaluate_views, mean_psnr, summarize

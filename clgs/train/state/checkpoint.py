@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clgs.errors import ClgsError, DataError, ExistsError
-from clgs.files import atomic_path, is_full
+from clgs.errors import ClgsError, DataError, ExistsError, is_full
+from clgs.files import atomic_path
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops.adam import Moments

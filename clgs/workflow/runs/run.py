@@ -16,9 +16,10 @@ from clgs.exports.camera_path import read_camera_path
 from clgs.files import check_folder, make_folder
 from clgs.train.config import layered
 from clgs.train.run.run_folder import FolderLock
-from clgs.workflow.camera_paths import check_path_name
 from clgs.workflow.events import Note, OnEvent, StageRecord, ignore
 from clgs.workflow.options import PATHS
+from clgs.workflow.pictures import check_path_name
+from clgs.workflow.runs.clocks import PosesClock
 from clgs.workflow.runs.plan import (
     DEFAULT_SECONDS,
     LATE,
@@ -33,7 +34,6 @@ from clgs.workflow.runs.plan import (
     poses_time,
     prepare_seconds,
 )
-from clgs.workflow.runs.poses_clock import PosesClock
 from clgs.workflow.runs.record import (
     DATA,
     FinishedRun,

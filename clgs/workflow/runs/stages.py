@@ -22,14 +22,13 @@ from clgs.opencl.device import Device
 from clgs.train.config import layered
 from clgs.train.config.option import FLAGS
 from clgs.train.run.run_folder import RESULTS
-from clgs.workflow.encode import EncodedFile
 from clgs.workflow.evaluate import Evaluation, evaluate
 from clgs.workflow.events import Note, OnEvent, RunStage, StageFailure, StageRecord
 from clgs.workflow.export import export
 from clgs.workflow.options import FPS, FRAMES, PathOptions, ViewOptions
 from clgs.workflow.pictures import render_clip
 from clgs.workflow.prepare import prepare_data
-from clgs.workflow.runs.device_speed import speed_on, synthetic_speed
+from clgs.workflow.runs.clocks import speed_on, synthetic_speed
 from clgs.workflow.runs.plan import (
     SIZES,
     SKETCH_STEPS,
@@ -50,6 +49,7 @@ from clgs.workflow.runs.record import (
     measure_data,
 )
 from clgs.workflow.scenes import read_drawable, read_scene
+from clgs.workflow.smaller import EncodedFile
 from clgs.workflow.train import train
 from clgs.workflow.views import load_views
 

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 
 from clgs import _codec
-from clgs.codec.container import chunks
-from clgs.codec.container.sections import (
+from clgs.codec import chunks
+from clgs.codec.sections import (
     BODY,
     DETL,
     LAYR,

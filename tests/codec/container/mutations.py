@@ -21,10 +21,10 @@ import numpy as np
 
 from clgs import _codec
 from clgs.codec import decode_attributes, decode_positions, encode_attributes, encode_positions
-from clgs.codec.container.meta import LEVELS
-from clgs.codec.container.sections import CHNK, SATR, SMUL, SPOS, BytesSource
+from clgs.codec.meta import LEVELS
 from clgs.codec.scene_decoder import decode, decode_box, describe
 from clgs.codec.scene_encoder import encode
+from clgs.codec.sections import CHNK, SATR, SMUL, SPOS, BytesSource
 from clgs.codec.splat_packing import QuantizedSplats, pack, unpack
 from clgs.errors import CodecError
 from clgs.scene.region import Box

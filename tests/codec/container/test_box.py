@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.codec.container.sections import BytesSource, FileSource
 from clgs.codec.scene_decoder import decode, decode_box
 from clgs.codec.scene_encoder import encode
+from clgs.codec.sections import BytesSource, FileSource
 from clgs.errors import CodecError, UsageError
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
 from clgs.scene.region import Box

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from clgs import _codec
-from clgs.codec import octree
-from clgs.codec.container import chunks
-from clgs.codec.container.sections import BytesSource, read_table
+from clgs.codec import chunks, octree
 from clgs.codec.scene_decoder import decode, decode_box, describe
 from clgs.codec.scene_encoder import encode
+from clgs.codec.sections import BytesSource, read_table
 from clgs.errors import CodecError
 from clgs.scene.region import Box
 from codec_c.reader.coding import xxh64

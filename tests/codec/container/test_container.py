@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.codec.container.meta import unpack_meta
-from clgs.codec.container.sections import SCENE, write_container
+from clgs.codec.meta import unpack_meta
 from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode, sort_anchors
+from clgs.codec.sections import SCENE, write_container
 from clgs.errors import CodecError, UsageError
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
 from clgs.scene.mlps import Mlps

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from clgs import _codec
+from clgs.codec import chunks
 from clgs.codec.attribute_model import KNOWN, empty_model
-from clgs.codec.container import chunks
-from clgs.codec.container.chunks import pack_rows
-from clgs.codec.container.sections import BODY, DETL, LAYR, BytesSource, write_container
+from clgs.codec.chunks import pack_rows
 from clgs.codec.scene_decoder import decode, decode_box, describe
 from clgs.codec.scene_encoder import encode
+from clgs.codec.sections import BODY, DETL, LAYR, BytesSource, write_container
 from clgs.errors import CodecError
 from clgs.scene.region import Box
 from tests.codec.container.damage import (

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clgs.codec.container.sections import BytesSource, FileSource
-from clgs.codec.contribution import choose_layers
 from clgs.codec.scene_decoder import decode, decode_box, describe
 from clgs.codec.scene_encoder import encode, sort_anchors
+from clgs.codec.sections import BytesSource, FileSource
+from clgs.codec.smaller import choose_layers
 from clgs.errors import CodecError, UsageError
 from clgs.scene.anchors import take
 from clgs.scene.region import Box

@@ -6,7 +6,7 @@ import hashlib
 
 import pytest
 
-from clgs.codec.container.meta import LEVELS
+from clgs.codec.meta import LEVELS
 from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode, sort_anchors
 from tests.codec.scenes import GOLDEN, assert_same, make_golden

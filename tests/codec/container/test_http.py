@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clgs.codec.container.http_source import FRONT, HttpSource
+from clgs.codec.http_source import FRONT, HttpSource
 from clgs.codec.scene_decoder import decode, decode_box, describe
 from clgs.codec.scene_encoder import encode
 from clgs.errors import DataError

@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.codec.container.sections import BODY, LAYR, BytesSource, FileSource, write_container
-from clgs.codec.contribution import choose_layers
 from clgs.codec.scene_decoder import decode, decode_box, describe
 from clgs.codec.scene_encoder import encode, sort_anchors
+from clgs.codec.sections import BODY, LAYR, BytesSource, FileSource, write_container
+from clgs.codec.smaller import choose_layers
 from clgs.errors import CodecError, UsageError
 from clgs.scene.anchors import take
 from clgs.scene.region import Box

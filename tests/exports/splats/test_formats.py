@@ -15,8 +15,8 @@ from PIL import Image
 
 from clgs.data.splats.gaussians import load_splats
 from clgs.errors import DataError
+from clgs.exports.glb import EXTENSION, encode_glb
 from clgs.exports.splats import sog
-from clgs.exports.splats.glb import EXTENSION, encode_glb
 from clgs.exports.splats.ply import encode_ply
 from clgs.exports.splats.sog import encode_sog
 from clgs.exports.splats.spz import encode_spz

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clgs.exports.splats.glb import encode_glb
+from clgs.exports.glb import encode_glb
 from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.scene import SplatScene

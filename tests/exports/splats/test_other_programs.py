@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from clgs.data.splats.gaussians import load_splats
-from clgs.exports.splats.glb import EXTENSION, encode_glb
+from clgs.exports.glb import EXTENSION, encode_glb
 from clgs.exports.splats.ply import encode_ply
 from clgs.exports.splats.sog import encode_sog
 from clgs.exports.splats.spz import encode_spz

@@ -17,7 +17,7 @@ from clgs.lab.scenes import ExactRandom
 from clgs.lab.selftest import SHIPPED
 from clgs.lab.selftest.conformance import differences, fingerprints, from_record, to_record
 from clgs.opencl.device import Device
-from clgs.opencl.source import programs_of_form, read_program
+from clgs.opencl.programs import programs_of_form, read_program
 from tests.house.rules import kernels_in
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from clgs.lab.selftest.render_checks import TINY, selftest
 from clgs.lab.selftest.training_checks import training_checks
-from clgs.opencl.source import programs_of_form
+from clgs.opencl.programs import programs_of_form
 
 NOT_CHECKED = {"limits/limits", "scan/fits", "blend/sums", "tiles/by_row"}
 """Programs of `clgs bench`, of limited memory, of counts of importance, and of long lists."""

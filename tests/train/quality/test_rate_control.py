@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from clgs.codec.fit_size import take
 from clgs.codec.scene_encoder import encode, sort_anchors
+from clgs.codec.smaller import take
 from clgs.data.images import Pixels
 from clgs.data.view import StoredPhoto, View
 from clgs.errors import UsageError

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.codec.container.reader import decode_weights
-from clgs.codec.container.sections import MLPS, read_container
+from clgs.codec.reader import decode_weights
 from clgs.codec.scene_encoder import encode
+from clgs.codec.sections import MLPS, read_container
 from clgs.reference import quantize as reference
 from clgs.scene.mlps import HEAD_DIMS, head_slice
 from clgs.train.config import preset

@@ -1,9 +1,10 @@
-"""Ordinary Gaussians as a GLB file with the extension KHR_gaussian_splatting.
+"""GLB files, which 3-D viewers open: cameras and start points of a data set; ordinary Gaussians.
 
-One primitive of points with float32 attributes: positions, rotations (x y z w), scales (not their
-logarithms), opacities in [0, 1], and every coefficient of the color as a vector of three; COLOR_0
-is for viewers that show plain points. glTF has y up: the node turns the data set's axes to that,
-the attributes stay in them. It also moves splats that lie far from the origin to their place.
+The Gaussians have the extension KHR_gaussian_splatting: one primitive of points with float32
+attributes: positions, rotations (x y z w), scales (not their logarithms), opacities in [0, 1], and
+every coefficient of the color as a vector of three; COLOR_0 is for viewers that show plain points.
+glTF has y up: the node turns the data set's axes to that, the attributes stay in them. It also
+moves splats that lie far from the origin to their place.
 
 Source: the specification of the extension at Khronos (github.com/KhronosGroup/glTF).
 """
@@ -18,11 +19,68 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from clgs.data.dataset import Dataset
+from clgs.data.posed_photo import to_y_up
 from clgs.data.splats.numbers import SH_0, sigmoid, unit_rotation
 from clgs.exports.splats.ply import Encoded, file_units, scene_units
 from clgs.scene.gaussians import HostGaussians
 from clgs.scene.scene import IDENTITY, SceneTransform
 from clgs.scene.world import to_text
+
+FRUSTUM_DEPTH = 0.1
+"""Length of a frustum in camera radii."""
+
+POINT_COLOR = (128, 128, 128, 255)
+CAMERA_COLORS = {"train": (40, 90, 220, 255), "test": (230, 120, 20, 255)}
+"""RGBA."""
+
+EDGES = ((0, 1), (0, 2), (0, 3), (0, 4), (1, 2), (2, 3), (3, 4), (4, 1))
+"""The edges of a frustum: corner 0 is the camera's centre, 1 to 4 go around the picture."""
+
+
+def cameras_glb(dataset: Dataset) -> bytes:
+    """A GLB file with the data set's points and a frustum of lines per camera.
+
+    Lengths are the data set's world units; the axes are turned so that y is up, as glTF has it
+    (``clgs.data.posed_photo.to_y_up``). There is a node "points" if there are points, and a node
+    "train/NAME" or "test/NAME" per photo, whose matrix is the camera's pose: x right, y down,
+    z forward.
+    """
+    import trimesh
+    from trimesh.path import Path3D
+    from trimesh.path.entities import Line
+
+    turn = to_y_up(dataset.kind, dataset.transform.frame)
+    depth = FRUSTUM_DEPTH * dataset.radius / dataset.transform.scale
+    scene = trimesh.Scene(base_frame="world")
+    if len(dataset.points):
+        world = dataset.transform.to_world(dataset.points.astype(np.float64)) @ turn.T
+        colors = np.full((len(world), 4), POINT_COLOR, np.uint8)
+        if dataset.point_colors is not None:
+            colors[:, :3] = dataset.point_colors
+        cloud = trimesh.PointCloud(world, colors=colors)
+        scene.add_geometry(cloud, node_name="points", geom_name="points")
+    for split, views in (("train", dataset.train), ("test", dataset.test)):
+        for view in views:
+            # the frustum's edges in the camera's axes, as lines
+            camera = view.camera
+            picture = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * (camera.width, camera.height)
+            flat = (picture - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+            corners = depth * np.column_stack([flat, np.ones(4)])
+            lines = [Line(list(edge)) for edge in EDGES]
+            frustum = Path3D(
+                lines,
+                np.vstack([np.zeros(3), corners]),
+                colors=[CAMERA_COLORS[split]] * len(EDGES),
+                process=False,
+            )
+            pose = np.eye(4)  # camera to turned world
+            pose[:3, :3] = turn @ camera.rotation.T
+            pose[:3, 3] = turn @ dataset.transform.to_world(camera.centre[None])[0]
+            name = f"{split}/{view.name}"
+            scene.add_geometry(frustum, node_name=name, geom_name=name, transform=pose)
+    return bytes(scene.export(file_type="glb"))
+
 
 EXTENSION = "KHR_gaussian_splatting"
 SPACE = {

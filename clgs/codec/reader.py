@@ -11,9 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs import _codec
-from clgs.codec import octree, row_coder, weights
-from clgs.codec.container import chunks, sections
-from clgs.codec.container.chunks import (
+from clgs.codec import chunks, octree, row_coder, sections, weights
+from clgs.codec.chunks import (
     HEAD_SIZE,
     TAGS,
     ByteRange,
@@ -22,7 +21,7 @@ from clgs.codec.container.chunks import (
     known_channels,
     unpack_details,
 )
-from clgs.codec.container.meta import (
+from clgs.codec.meta import (
     SCALING_DIM,
     Layer,
     unpack_geor,
@@ -30,7 +29,7 @@ from clgs.codec.container.meta import (
     unpack_meta,
     unpack_phot,
 )
-from clgs.codec.container.sections import (
+from clgs.codec.sections import (
     ANCH,
     BODY,
     CHNK,

@@ -7,18 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.bake.bake import (
-    BakeSettings,
-    BakeView,
-    bake,
-    baked_loss,
-    count_steps,
-    evenly,
-    in_order,
-    without_faint,
-)
-from clgs.bake.cameras import VIEWS, cameras_around
-from clgs.bake.fit import observe
 from clgs.errors import DataError
 from clgs.lab.scenes import anchor_scene
 from clgs.options import DEFAULT
@@ -26,6 +14,19 @@ from clgs.render.frame import upload_scene, upload_view
 from clgs.render.renderer import Renderer
 from clgs.scene.scene import SceneTransform, SplatScene
 from clgs.train.quality.scores import to_8bit
+from clgs.workflow.bake import (
+    VIEWS,
+    BakeSettings,
+    BakeView,
+    bake,
+    baked_loss,
+    cameras_around,
+    count_steps,
+    evenly,
+    in_order,
+    without_faint,
+)
+from clgs.workflow.bake_fit import observe
 from tests.exports.splats.cases import gaussians
 
 SIZE = 64

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from clgs.bake.fit import LEAST_WEIGHT, Observation, fit, harmonics, quaternions
 from clgs.reference.general.splats import basis
 from clgs.reference.project import rotation_matrix
+from clgs.workflow.bake_fit import LEAST_WEIGHT, Observation, fit, harmonics, quaternions
 
 COUNT, VIEWS = 40, 60
 

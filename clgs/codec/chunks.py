@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs import _codec
-from clgs.codec.container.meta import Meta
-from clgs.codec.container.sections import ANCH, BODY, FEAT, OFFS, SCAL
+from clgs.codec.meta import Meta
+from clgs.codec.sections import ANCH, BODY, FEAT, OFFS, SCAL
 from clgs.scene.anchors import QuantizedAnchors
 
 TAGS = (ANCH, OFFS, FEAT, SCAL)
