@@ -10,7 +10,7 @@ import numpy.typing as npt
 from clgs.data.complaints import APART, LEAST, in_one_place, lonely, spread
 from clgs.data.lens import Lens, undistort_lens
 from clgs.data.posed_photo import Photo
-from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, named
+from clgs.doctor import ERROR, NOTE, WARNING, Finding, named
 from clgs.errors import DataError
 from clgs.scene.camera import optical_axes
 

@@ -25,8 +25,8 @@ from clgs.data.points import read_points
 from clgs.data.posed_photo import Photo, PhotoSet
 from clgs.data.reduction import MAX_SIZE
 from clgs.data.transforms import count_frames, read_document, read_frame
+from clgs.doctor import ERROR, NOTE, WARNING, Finding, errors_first, from_error, named
 from clgs.doctor.cameras import check_lenses, check_poses
-from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, errors_first, from_error, named
 from clgs.errors import DataError
 from clgs.files import in_any_case
 from clgs.poses.find import find_photos

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clgs.doctor.finding import ERROR, NOTE, WARNING, Finding, errors_first
+from clgs.doctor import ERROR, NOTE, WARNING, Finding, errors_first
 from clgs.errors import ClgsError, UsageError
 from clgs.machine import available_memory, host_facts
 from clgs.poses.pycolmap_child import import_problem

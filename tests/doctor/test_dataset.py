@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 from clgs.cli.main import main
+from clgs.doctor import ERROR, NOTE, WARNING
 from clgs.doctor.dataset import examine
-from clgs.doctor.finding import ERROR, NOTE, WARNING
 from clgs.errors import DataError
 from tests.data.folders import (
     noise_image,

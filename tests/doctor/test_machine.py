@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 
 from clgs.cli.main import main
-from clgs.doctor import machine
-from clgs.doctor.finding import ERROR, WARNING
+from clgs.doctor import ERROR, WARNING, machine
 from clgs.doctor.machine import examine_machine
 from clgs.machine import available_memory
 from clgs.opencl import choose

@@ -27,8 +27,8 @@ def run(args: argparse.Namespace) -> int:
     import json
     from dataclasses import asdict
 
+    from clgs.doctor import ERROR, LEVELS
     from clgs.doctor.dataset import examine
-    from clgs.doctor.finding import ERROR, LEVELS
     from clgs.doctor.machine import examine_machine
 
     document: dict[str, Any]

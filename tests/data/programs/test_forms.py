@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from clgs.data.dataset import load_dataset
+from clgs.doctor import ERROR
 from clgs.doctor.dataset import examine
-from clgs.doctor.finding import ERROR
 from clgs.errors import DataError
 from clgs.render.renderer import Renderer
 from clgs.scene.gaussians import OrdinaryGaussians
