@@ -38,7 +38,7 @@ from clgs.constants import K_OFFSETS
 from clgs.errors import UsageError
 from clgs.machine import workers
 from clgs.scene.anchors import QuantizedAnchors, take
-from clgs.scene.photo_range import UNKNOWN
+from clgs.scene.camera import UNKNOWN
 from clgs.scene.region import Box
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.world import in_words

@@ -21,9 +21,8 @@ import numpy.typing as npt
 
 from clgs.data.dataset import Dataset
 from clgs.data.posed_photo import to_y_up
-from clgs.data.splats.numbers import SH_0, sigmoid, unit_rotation
 from clgs.exports.splats.ply import Encoded, file_units, scene_units
-from clgs.scene.gaussians import HostGaussians
+from clgs.scene.gaussians import SH_0, HostGaussians, sigmoid, unit_rotation
 from clgs.scene.scene import IDENTITY, SceneTransform
 from clgs.scene.world import to_text
 

@@ -1,20 +1,28 @@
-"""The photos that belong to a scene on the disk, and how the scene is drawn for them."""
+"""The photos that belong to a scene on the disk, how it is drawn for them, and its scores."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from clgs.data.dataset import Dataset, load_dataset
 from clgs.data.origin import alike, read_origin, repose
 from clgs.data.reduction import MAX_SIZE
 from clgs.data.view import View
 from clgs.errors import DataError, UsageError
+from clgs.opencl.device import Device
 from clgs.options import RenderOptions, render_options
 from clgs.scene.scene import QuantizedScene, SplatScene
 from clgs.train.config import TrainConfig, from_toml
-from clgs.workflow.events import Note, OnEvent, ignore
+from clgs.train.quality.scores import (
+    Measure,
+    ViewScore,
+    count_drawn,
+    evaluate_views,
+    summarize,
+)
+from clgs.workflow.events import Note, OnEvent, counter, ignore
 from clgs.workflow.options import BACKGROUNDS, ViewOptions
 from clgs.workflow.scenes import check_there, run_folder
 
@@ -174,3 +182,54 @@ def drawing_options(
         options.max_memory,
         trained.smallest_anchor if smallest is None else smallest,
     )
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The means over the views with what they depend on, and the scores of each view."""
+
+    summary: dict[str, Any]
+    scores: list[ViewScore]
+
+    def record(self) -> dict[str, Any]:
+        """All of it, ready for JSON."""
+        return self.summary | {"per_view": [score.record() for score in self.scores]}
+
+
+def evaluate(
+    device: Device,
+    path: Path,
+    scene: QuantizedScene | SplatScene,
+    size: int | None,
+    views: ViewOptions,
+    *,
+    lpips: Measure | None = None,
+    count_gaussians: bool = False,
+    on_event: OnEvent = ignore,
+) -> Evaluation:
+    """Score ``scene``, which was read at ``path``, on the views of its data set.
+
+    ``size``: bytes of its file, None if it has none. LPIPS is measured if it is given, and the
+    Gaussians that are drawn are counted if ``count_gaussians`` says so.
+
+    Raises:
+        UsageError: no data set is named, neither by ``views`` nor by the run.
+        DataError: the data set is damaged, empty, or that of another scene.
+        BudgetError: ``views.max_memory`` is too small.
+    """
+    scene = over_background(scene, views.background)
+    options = drawing_options(path, views, scene)
+    chosen = select_views(path, scene, views, on_event)
+    advance = counter("evaluating", len(chosen), on_event)
+    scores = evaluate_views(device, scene, chosen, advance, options, lpips)
+    summary = summarize(scene, scores, size)
+    if count_gaussians and not isinstance(scene, SplatScene):
+        advance = counter("counting Gaussians", len(chosen), on_event)
+        cameras = [view.camera for view in chosen]
+        summary["gaussians"] = count_drawn(device, scene, cameras, options, advance)
+    summary |= {
+        "accuracy": options.accuracy.name,
+        "split": views.split or "test",
+        "device": device.name,
+    }
+    return Evaluation(summary, scores)

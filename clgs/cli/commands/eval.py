@@ -19,8 +19,8 @@ from clgs.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from clgs.workflow.evaluate import Evaluation
     from clgs.workflow.options import ViewOptions
+    from clgs.workflow.views import Evaluation
 
 STDOUT = Path("-")
 """The value of --json without a file."""
@@ -99,9 +99,8 @@ def run(args: argparse.Namespace) -> int:
     from clgs.train.quality.lpips import Lpips, read_lpips_weights
     from clgs.train.quality.scores import append_survey, write_inria
     from clgs.train.state.hashes import differences, read_fingerprint
-    from clgs.workflow.evaluate import evaluate
     from clgs.workflow.scenes import read_drawable
-    from clgs.workflow.views import trained_config
+    from clgs.workflow.views import evaluate, trained_config
 
     given = ("lpips", "inria", "csv", "json")
     tables = [f"--{name}" for name in given if getattr(args, name)]

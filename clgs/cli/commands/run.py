@@ -144,13 +144,13 @@ def run(args: argparse.Namespace) -> int:
 def _show(record: object) -> None:
     """Print a plan, the box of the finished run, or the record of a stage as its command does."""
     from clgs.cli.commands import encode, eval, export, prepare, render, train
-    from clgs.workflow.evaluate import Evaluation
     from clgs.workflow.pictures import Clip
     from clgs.workflow.prepare import PreparedData
     from clgs.workflow.runs.plan import TrainingPlan
     from clgs.workflow.runs.record import FinishedRun, RunPlan
     from clgs.workflow.smaller import EncodedFile
     from clgs.workflow.train import TrainedRun
+    from clgs.workflow.views import Evaluation
 
     show: dict[type, Callable[[Any], None]] = {
         RunPlan: _show_plan,

@@ -20,10 +20,9 @@ from clgs.arguments import as_path
 from clgs.codec.splat_packing import QuantizedSplats, unpack
 from clgs.constants import LOG_SCALE_LIMIT, NEAR_PLANE
 from clgs.data.splats import ply, sog, spz
-from clgs.data.splats.numbers import SH_0, logit, sigmoid
 from clgs.data.splats.ply import PlyTable, element_names, parse_ply, reading
 from clgs.errors import CodecError, DataError
-from clgs.scene.gaussians import DEGREES, MAX_DEGREE, OrdinaryGaussians
+from clgs.scene.gaussians import DEGREES, MAX_DEGREE, SH_0, OrdinaryGaussians, logit, sigmoid
 from clgs.scene.scene import RenderSettings, SceneTransform, SplatScene
 from clgs.scene.world import from_text, to_text
 

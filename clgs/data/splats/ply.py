@@ -22,8 +22,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from clgs.data.splats.numbers import SH_0, from_smallest_three, logit
 from clgs.errors import DataError
+from clgs.scene.gaussians import SH_0, from_smallest_three, logit
 
 TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},

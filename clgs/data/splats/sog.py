@@ -22,10 +22,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clgs.data.splats.numbers import from_smallest_three, logit
 from clgs.data.splats.ply import PlyTable
 from clgs.files import SMALL, check_declared
-from clgs.scene.gaussians import MAX_DEGREE
+from clgs.scene.gaussians import MAX_DEGREE, from_smallest_three, logit
 from clgs.scene.storage import check_members
 
 ZIP = b"PK\x03\x04"

@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clgs.data.splats.numbers import from_smallest_three, logit
 from clgs.data.splats.ply import PlyTable
 from clgs.files import check_declared
+from clgs.scene.gaussians import from_smallest_three, logit
 
 GZIP, MAGIC = b"\x1f\x8b", b"NGSP"
 HEAD = struct.Struct("<4sIIBBBB")

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clgs.data.splats.numbers import sigmoid, smallest_three, unit_rotation
 from clgs.data.splats.sog import (
     COORDINATE_STEPS,
     META,
@@ -22,7 +21,7 @@ from clgs.data.splats.sog import (
     decode_sog,
 )
 from clgs.exports.splats.ply import Encoded, as_read, file_units
-from clgs.scene.gaussians import HostGaussians
+from clgs.scene.gaussians import HostGaussians, sigmoid, smallest_three, unit_rotation
 from clgs.scene.scene import IDENTITY, SceneTransform
 from clgs.scene.world import to_text
 

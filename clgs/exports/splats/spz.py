@@ -8,7 +8,6 @@ import logging
 import numpy as np
 import numpy.typing as npt
 
-from clgs.data.splats.numbers import sigmoid, smallest_three, unit_rotation
 from clgs.data.splats.spz import (
     ANTIALIASED_FLAG,
     COLOR_SCALE,
@@ -22,7 +21,7 @@ from clgs.data.splats.spz import (
 )
 from clgs.errors import DataError
 from clgs.exports.splats.ply import Encoded, as_read, file_units
-from clgs.scene.gaussians import HostGaussians
+from clgs.scene.gaussians import HostGaussians, sigmoid, smallest_three, unit_rotation
 from clgs.scene.scene import IDENTITY, SceneTransform
 
 _log = logging.getLogger(__name__)

@@ -22,7 +22,6 @@ from clgs.opencl.device import Device
 from clgs.train.config import layered
 from clgs.train.config.option import FLAGS
 from clgs.train.run.run_folder import RESULTS
-from clgs.workflow.evaluate import Evaluation, evaluate
 from clgs.workflow.events import Note, OnEvent, RunStage, StageFailure, StageRecord
 from clgs.workflow.export import export
 from clgs.workflow.options import FPS, FRAMES, PathOptions, ViewOptions
@@ -51,7 +50,7 @@ from clgs.workflow.runs.record import (
 from clgs.workflow.scenes import read_drawable, read_scene
 from clgs.workflow.smaller import EncodedFile
 from clgs.workflow.train import train
-from clgs.workflow.views import load_views
+from clgs.workflow.views import Evaluation, evaluate, load_views
 
 SCENE, SCORES, REPORT = "scene.clgs", "scores.json", "report.html"
 PAGE, GAUSSIANS, CLIP = "scene.html", "scene.ply", "clip.mp4"
