@@ -1,12 +1,14 @@
-"""The small sections of a scene: META, GEOR, PHOT and LAYR (codec_c/FORMAT.md on each of them).
+"""The small sections of a scene: META, GEOR, PHOT, LAYR and MLPS (codec_c/FORMAT.md on each).
 
 META has counts, scales, transform, render settings and a hash, GEOR what the world of the scene is,
-PHOT how photos saw it, LAYR which chunks are a layer and the hash of each.
+PHOT how photos saw it, LAYR which chunks are a layer and the hash of each. The weights of the MLPs
+are integers if they are multiples, else floats.
 """
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +21,7 @@ from clgs.constants import FEATURE_DIM, K_OFFSETS
 from clgs.options import MAX_LAYERS
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
 from clgs.scene.camera import UNKNOWN, PhotoRange
-from clgs.scene.mlps import MLP_SIZE
+from clgs.scene.mlps import MATRICES, MLP_SIZE
 from clgs.scene.scene import RenderSettings, SceneTransform, check_ranges
 from clgs.scene.world import LOCAL, Place, is_world
 
@@ -213,3 +215,44 @@ def unpack_layers(data: bytes | memoryview, chunks: int) -> list[Layer]:
     if sum(layer.chunks for layer in layers) != chunks:
         raise ValueError(f"the layers do not have {chunks} chunks in all")
     return layers
+
+
+WEIGHT_MODES = ("auto", "float32")
+"""auto: integers if that is shorter; float32: the bytes of the floats in any case."""
+
+Matrices = Sequence[tuple[int, int]]
+
+
+def pack_weights(
+    weights: npt.NDArray[np.float32], mode: str = "auto", matrices: Matrices = MATRICES
+) -> bytes:
+    """The stream of ``weights`` (n,) float32, bit for bit.
+
+    Weights are coded as integers if those of every matrix are multiples, below 2^24, of a power of
+    two, none is -0, and this is shorter.
+
+    Args:
+        weights: of all matrices, one after another, each row-major.
+        mode: one of WEIGHT_MODES.
+        matrices: (rows, columns) of each.
+
+    Raises:
+        ValueError: the matrices do not hold n weights.
+    """
+    word = np.ascontiguousarray(weights, np.float32).view(np.uint32)
+    if mode == "float32":
+        return _codec.planes_encode(word)
+    return _codec.weights_encode(word, np.array(matrices, np.uint32))
+
+
+def unpack_weights(
+    data: bytes | memoryview, matrices: Matrices = MATRICES
+) -> npt.NDArray[np.float32]:
+    """The weights (n,) float32 of ``matrices`` (rows, columns).
+
+    Raises:
+        ValueError: the stream is damaged, or holds another number of weights.
+    """
+    word = np.empty(sum(rows * columns for rows, columns in matrices), np.uint32)
+    _codec.weights_decode(data, word, np.array(matrices, np.uint32))
+    return word.view(np.float32)

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs import _codec
-from clgs.codec import chunks, octree, row_coder, sections, weights
+from clgs.codec import chunks, octree, row_coder, sections
 from clgs.codec.chunks import (
     HEAD_SIZE,
     TAGS,
@@ -28,6 +28,7 @@ from clgs.codec.meta import (
     unpack_layers,
     unpack_meta,
     unpack_phot,
+    unpack_weights,
 )
 from clgs.codec.sections import (
     ANCH,
@@ -290,7 +291,7 @@ class SceneReader:
 
 def decode_weights(section: Section) -> npt.NDArray[np.float32]:
     """The weights (13710,) float32 of section MLPS; CodecError if the section is damaged."""
-    decoded = guarded(section, weights.decode)
+    decoded = guarded(section, unpack_weights)
     if not np.isfinite(decoded).all():
         raise section.error("a weight is not finite")
     return decoded

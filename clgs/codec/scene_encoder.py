@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.arguments import check_choice, check_integer, check_type
-from clgs.codec import octree, row_coder, smaller, weights
+from clgs.codec import octree, row_coder, smaller
 from clgs.codec.attribute_model import NearRows
 from clgs.codec.chunks import (
     DEFAULT_CHUNK,
@@ -25,6 +25,7 @@ from clgs.codec.chunks import (
 )
 from clgs.codec.meta import (
     LEVELS,
+    WEIGHT_MODES,
     Layer,
     Meta,
     array_hash,
@@ -35,6 +36,7 @@ from clgs.codec.meta import (
     pack_geor,
     pack_layers,
     pack_phot,
+    pack_weights,
 )
 from clgs.codec.sections import (
     ANCH,
@@ -83,7 +85,7 @@ def encode(
         chunk: anchors that are decoded together, at most: 16 to 2^20. Small ones let a box of the
             scene be read without the rest, and cost bytes. Default: 65,536, or 1024 in layers.
         threads: at most this many, by default one per processor; no byte depends on it.
-        mlp: one of ``weights.MODES``, how the weights are stored; lossless either way.
+        mlp: one of ``WEIGHT_MODES``, how the weights are stored; lossless either way.
         layers: cut the scene into this many layers, 1 to 64, the most useful anchors first: the
             beginning of the file up to the end of a layer is a coarser scene.
         importance: of each anchor (A,) float64, at least 0, for ``layers``; default:
@@ -136,7 +138,7 @@ def encode(
             models[tag] = pool.submit(row_coder.fit_with_known, both, known, level, spans, near)
         batches = octree.batches(spans)
         tasks = {ANCH: [pool.submit(encode_positions, batch) for batch in batches]}
-        packed = pool.submit(weights.encode, scene.mlps.flat, mlp)
+        packed = pool.submit(pack_weights, scene.mlps.flat, mlp)
         for tag, model in models.items():
             tasks[tag] = [pool.submit(encode_rows, tag, model.result(), batch) for batch in batches]
         streams = {tag: [data for task in tasks[tag] for data in task.result()] for tag in tasks}
@@ -251,4 +253,4 @@ def check_options(
     check_choice("level", level, LEVELS)
     if chunk is not None and not MIN_CHUNK <= check_integer("chunk", chunk) <= MAX_CHUNK:
         raise UsageError(f"chunk: {chunk}; {MIN_CHUNK} to {MAX_CHUNK} anchors are possible")
-    check_choice("mlp", mlp, weights.MODES)
+    check_choice("mlp", mlp, WEIGHT_MODES)

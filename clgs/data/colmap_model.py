@@ -11,8 +11,7 @@ from clgs.data.colmap_files import LEAST_IMAGE_BYTES, read_binary, read_text
 from clgs.data.colmap_records import ColmapCamera, ColmapModel
 from clgs.data.images import list_images
 from clgs.data.lens import Lens
-from clgs.data.locate import ListedPhoto, locate_all
-from clgs.data.posed_photo import PhotoSet, hold_out, rigid
+from clgs.data.posed_photo import ListedPhoto, PhotoSet, hold_out, locate_all, rigid
 from clgs.errors import DataError
 from clgs.files import in_any_case
 from clgs.scene.world import from_text

@@ -18,8 +18,16 @@ import numpy.typing as npt
 
 from clgs.arguments import plain_numbers
 from clgs.data.lens import Lens
-from clgs.data.locate import ListedPhoto, inside, locate_all, plain_name
-from clgs.data.posed_photo import Photo, PhotoSet, hold_out, rigid
+from clgs.data.posed_photo import (
+    ListedPhoto,
+    Photo,
+    PhotoSet,
+    hold_out,
+    inside,
+    locate_all,
+    plain_name,
+    rigid,
+)
 from clgs.errors import DataError
 from clgs.files import in_any_case
 

@@ -18,11 +18,10 @@ import numpy as np
 from clgs.data.complaints import NONE_LEFT
 from clgs.data.dataset import is_posed, read_photo_set
 from clgs.data.images import check_chunks, exif_turn, open_image
-from clgs.data.locate import PhotoFolder, locate
 from clgs.data.masks import read_mask
 from clgs.data.origin import read_origin
 from clgs.data.points import read_points
-from clgs.data.posed_photo import Photo, PhotoSet
+from clgs.data.posed_photo import Photo, PhotoFolder, PhotoSet, locate
 from clgs.data.reduction import MAX_SIZE
 from clgs.data.transforms import count_frames, read_document, read_frame
 from clgs.doctor import ERROR, NOTE, WARNING, Finding, errors_first, from_error, named

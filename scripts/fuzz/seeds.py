@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from clgs import _codec
-from clgs.codec import attribute_search, octree, row_coder, weights
+from clgs.codec import attribute_search, octree, row_coder
+from clgs.codec.meta import pack_weights
 from clgs.codec.reader import SceneReader
 from clgs.codec.sections import BytesSource, read_container
 
@@ -85,7 +86,7 @@ def matrix_seeds() -> Iterator[Seed]:
         wide = bytes([channels - 1])
         yield "runlength", name, count(rows, 256) + wide + _codec.runlength_encode(value, channels)
         yield "paper", name, count(rows, 512) + wide + _codec.paper_encode(value, channels)
-        words = weights.encode(value.ravel().view(np.float32), "float32")
+        words = pack_weights(value.ravel().view(np.float32), "float32")
         yield "planes", name, count(value.size, 128) + words
         for coder in range(3):
             form = bytes([3 + 4 * (channels - 1) + 28 * coder])
@@ -169,7 +170,7 @@ def weight_seeds() -> Iterator[Seed]:
     rng = np.random.default_rng(3)
     for name, step in {"multiples": 2.0**-10, "zeros": 8.0, "floats": 1e-9}.items():
         word = (np.rint(rng.normal(0, 0.1, 120) / step) * step).astype(np.float32)
-        yield "weights", name, bytes([0, 11, 9]) + weights.encode(word, matrices=((12, 10),))
+        yield "weights", name, bytes([0, 11, 9]) + pack_weights(word, matrices=((12, 10),))
 
 
 if __name__ == "__main__":

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 from clgs import codec
-from clgs.codec import row_coder, weights
-from clgs.codec.meta import LEVELS
+from clgs.codec import row_coder
+from clgs.codec.meta import LEVELS, pack_weights, unpack_weights
 from clgs.codec.octree import runs
 from codec_c.reader import attributes as reader_attributes
 from codec_c.reader import files as reader_files
@@ -119,9 +119,9 @@ def weight_vectors() -> Iterator[tuple[str, Vector]]:
         yield (
             f"weights, {name}",
             (
-                partial(weights.encode, expected, matrices=SHAPES),
+                partial(pack_weights, expected, matrices=SHAPES),
                 [
-                    lambda data: weights.decode(data, SHAPES).view(np.uint32),
+                    lambda data: unpack_weights(data, SHAPES).view(np.uint32),
                     lambda data: reader_rows.decode_weights(data, list(SHAPES)).view(np.uint32),
                 ],
                 expected.view(np.uint32),

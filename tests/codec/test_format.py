@@ -10,9 +10,9 @@ import numpy.typing as npt
 import pytest
 
 from clgs import _codec, codec
-from clgs.codec import chunks, octree, row_coder, splat_packing, streams, weights
+from clgs.codec import chunks, octree, row_coder, splat_packing, streams
 from clgs.codec.attribute_model import find_near
-from clgs.codec.meta import Layer, pack_layers, unpack_layers
+from clgs.codec.meta import Layer, pack_layers, pack_weights, unpack_layers, unpack_weights
 from clgs.codec.scene_decoder import decode
 from clgs.codec.scene_encoder import encode
 from clgs.codec.sections import MAGIC, SPLATS, BytesSource, read_section, read_table
@@ -228,15 +228,15 @@ def test_examples_of_weights() -> None:
     pair = np.array([1.0, -1.0], np.float32)
     multiples = np.array([0.5, -0.25, 0.0, 0.75, 0.0], np.float32)
     assert b"\0" + pair.tobytes() == documented(20)[0]
-    assert weights.encode(pair, "float32") == documented(21)[0]
-    assert weights.encode(multiples, matrices=((2, 2), (1, 1))) == documented(22)[0]
+    assert pack_weights(pair, "float32") == documented(21)[0]
+    assert pack_weights(multiples, matrices=((2, 2), (1, 1))) == documented(22)[0]
     for number, expected, matrices in (
         (20, pair, ((2, 1),)),
         (21, pair, ((2, 1),)),
         (22, multiples, ((2, 2), (1, 1))),
     ):
         for decoded in (
-            weights.decode(documented(number)[0], matrices),
+            unpack_weights(documented(number)[0], matrices),
             decode_weights(documented(number)[0], list(matrices)),
         ):
             np.testing.assert_array_equal(decoded, expected)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from clgs.codec import weights
+from clgs.codec.meta import pack_weights, unpack_weights
 from clgs.scene.mlps import MATRICES, MLP_SIZE, init_mlps
 
 FLOATS = npst.from_dtype(np.dtype(np.float32))
@@ -25,10 +25,10 @@ def drawn(step: float, spread: float = 0.1, count: int = COUNT) -> np.ndarray:
 
 
 def assert_round_trip(x: np.ndarray, mode: int | None = None) -> bytes:
-    data = weights.encode(x, matrices=SHAPES)
+    data = pack_weights(x, matrices=SHAPES)
     assert mode is None or data[0] == mode
     assert len(data) <= 1 + 4 * x.size
-    np.testing.assert_array_equal(weights.decode(data, SHAPES).view(np.uint32), x.view(np.uint32))
+    np.testing.assert_array_equal(unpack_weights(data, SHAPES).view(np.uint32), x.view(np.uint32))
     return data
 
 
@@ -51,9 +51,9 @@ def test_what_is_no_multiple_stays_float(pair):
 
 def test_float32_on_request():
     x = drawn(2.0**-6)
-    data = weights.encode(x, "float32")
+    data = pack_weights(x, "float32")
     assert data[0] == PLANES
-    np.testing.assert_array_equal(weights.decode(data, SHAPES), x)
+    np.testing.assert_array_equal(unpack_weights(data, SHAPES), x)
 
 
 @settings(max_examples=30, deadline=None)
@@ -75,17 +75,17 @@ def test_after_many_zeros_the_least_is_expected():
     """Magnitudes expected below 1/16 count as 1/16."""
     x = np.zeros(4000, np.float32)
     x[-1] = 0.5
-    data = weights.encode(x, matrices=((1000, 4),))
-    np.testing.assert_array_equal(weights.decode(data, ((1000, 4),)), x)
+    data = pack_weights(x, matrices=((1000, 4),))
+    np.testing.assert_array_equal(unpack_weights(data, ((1000, 4),)), x)
 
 
 def test_standard_sizes_cost_their_entropy():
     """Within 1 % of the entropy of the drawn normal law, 13,710 weights of twelve matrices."""
     x = drawn(2.0**-8, 0.1, MLP_SIZE)
     entropy = MLP_SIZE * np.log2(0.1 * 2.0**8 * np.sqrt(2 * np.pi * np.e)) / 8
-    assert len(weights.encode(x)) <= 1.01 * entropy
+    assert len(pack_weights(x)) <= 1.01 * entropy
     start = init_mlps(np.random.default_rng(0)).flat
-    np.testing.assert_array_equal(weights.decode(weights.encode(start)), start)
+    np.testing.assert_array_equal(unpack_weights(pack_weights(start)), start)
 
 
 def test_large_rows_and_columns_are_learnt():
@@ -93,25 +93,25 @@ def test_large_rows_and_columns_are_learnt():
     x = drawn(2.0**-8, 0.1, 2500).reshape(50, 50)
     x[:, 7] *= 100
     x[20] *= 100
-    data = weights.encode(x.ravel(), matrices=((50, 50),))
+    data = pack_weights(x.ravel(), matrices=((50, 50),))
     shuffled = np.random.default_rng(0).permutation(x.ravel())
-    assert len(data) < 0.97 * len(weights.encode(shuffled, matrices=((50, 50),)))
+    assert len(data) < 0.97 * len(pack_weights(shuffled, matrices=((50, 50),)))
 
 
 def test_damage_is_an_error_or_other_weights():
     x = drawn(2.0**-6)
-    data = weights.encode(x, matrices=SHAPES)
+    data = pack_weights(x, matrices=SHAPES)
     for size in range(len(data)):
         with pytest.raises(ValueError, match="stream"):
-            weights.decode(data[:size], SHAPES)
+            unpack_weights(data[:size], SHAPES)
     for tail in (b"\0", b"\0" * 16):
         with pytest.raises(ValueError, match="stream"):
-            weights.decode(data + tail, SHAPES)
+            unpack_weights(data + tail, SHAPES)
     for at in range(8 * (len(data) - 1)):  # of the last byte, bits may not matter
         damaged = bytearray(data)
         damaged[at // 8] ^= 1 << at % 8
         try:
-            other = weights.decode(bytes(damaged), SHAPES)
+            other = unpack_weights(bytes(damaged), SHAPES)
         except ValueError:
             continue
         assert not np.array_equal(other.view(np.uint32), x.view(np.uint32))
@@ -133,20 +133,20 @@ def test_damage_is_an_error_or_other_weights():
 )
 def test_hostile_streams_are_refused(data):
     with pytest.raises(ValueError, match="stream"):
-        weights.decode(data, SHAPES)
+        unpack_weights(data, SHAPES)
 
 
 @pytest.mark.parametrize("matrices", [(), ((6, 9),), ((COUNT, 2),), ((1, COUNT), (0, 5), (1, 1))])
 def test_matrices_that_hold_other_numbers_are_refused(matrices):
     with pytest.raises(ValueError, match="layers"):
-        weights.encode(drawn(0.5), matrices=matrices)
+        pack_weights(drawn(0.5), matrices=matrices)
 
 
 def test_matrices_out_of_range_are_refused():
     for matrices in (((1, 1025),), ((2**20 + 1, 1),), ((1, 1),) * 65):
         x = np.zeros(sum(rows * columns for rows, columns in matrices), np.float32)
         with pytest.raises(ValueError, match="layers"):
-            weights.encode(x, matrices=matrices)
+            pack_weights(x, matrices=matrices)
 
 
 def test_the_default_matrices_are_the_mlps():

@@ -85,7 +85,7 @@ def test_checks_go_on_after_one_that_raises(open_device, monkeypatch):
 
 
 def test_emulators_and_unusable_platforms_are_left_out_aloud(monkeypatch, capsys):
-    from clgs.lab.devices import open_devices
+    from clgs.lab.commands import open_devices
     from clgs.opencl import device as device_module
 
     monkeypatch.delenv("PYOPENCL_CTX", raising=False)

@@ -14,8 +14,7 @@ import numpy.typing as npt
 from clgs.arguments import plain_numbers
 from clgs.data.images import list_images
 from clgs.data.lens import Lens
-from clgs.data.locate import ListedPhoto, locate_all
-from clgs.data.posed_photo import PhotoSet, hold_out, rigid
+from clgs.data.posed_photo import ListedPhoto, PhotoSet, hold_out, locate_all, rigid
 from clgs.data.transforms import FOCAL_LENGTHS, read_json
 from clgs.errors import DataError
 

@@ -16,8 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from clgs.data.lens import Lens
-from clgs.data.locate import ListedPhoto
-from clgs.data.posed_photo import PhotoSet
+from clgs.data.posed_photo import ListedPhoto, PhotoSet
 from clgs.data.programs.listing import (
     checked,
     listed_photo,

@@ -17,8 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from clgs.data.lens import Lens
-from clgs.data.locate import ListedPhoto
-from clgs.data.posed_photo import PhotoSet
+from clgs.data.posed_photo import ListedPhoto, PhotoSet
 from clgs.data.programs.listing import FROM_OPENGL, checked, number, photo_set, pose
 from clgs.errors import DataError
 from clgs.scene.world import frame_of

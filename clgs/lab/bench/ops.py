@@ -16,7 +16,7 @@ from pathlib import Path
 
 from clgs.lab import kernels as limits
 from clgs.lab.bench.step import count_frame, synthetic_trainer, time_steps
-from clgs.lab.devices import open_devices
+from clgs.lab.commands import open_devices
 from clgs.lab.figures import machine_facts, show_table, write_figures
 from clgs.lab.kernels import blend_decisions
 from clgs.lab.selftest.reference_render import Check

@@ -18,7 +18,7 @@ from clgs.cli.options import (
     view_options,
     whole_number,
 )
-from clgs.lab.devices import add_device_option
+from clgs.lab.commands import add_device_option
 
 SYNTHETIC_SCENES = ("small", "dense", "large", "tiny")
 

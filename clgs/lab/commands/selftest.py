@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clgs.cli.options import add_overwrite
-from clgs.lab.devices import add_device_option, open_devices
+from clgs.lab.commands import add_device_option, open_devices
 
 if TYPE_CHECKING:
     from clgs.lab.selftest.reference_render import Check
