@@ -101,7 +101,7 @@ def test_bitstreams_and_archives_keep_it_to_the_last_bit(tmp_path):
     assert decode(encode(scene, layers=2)).settings == scene.settings
     found = describe(data)
     assert (found["version"], found["sections"]["PHOT"]) == ("1.3", 56)
-    assert PhotoRange(*found["settings"]["photos"]) == PHOTOS
+    assert PhotoRange(**found["settings"]["photos"]) == PHOTOS
     assert read_file(data).meta.blur == scene.settings.blur  # that reader passes it over
     save_scene(tmp_path / "scene.npz", scene)
     assert load_scene(tmp_path / "scene.npz").settings == scene.settings

@@ -31,7 +31,7 @@ from clgs.viewer.live import (
     stands_at,
 )
 from tests.codec.scenes import random_scene
-from tests.exports.test_paths import ring
+from tests.exports.test_camera_path import ring
 from tests.ops.cases.splats import stored
 
 

@@ -15,7 +15,7 @@ from clgs.lab.scenes import anchor_scene
 from clgs.viewer.live import LiveScene, eye_of
 from clgs.viewer.server import Shown, box_edges, close_server, may_enter, open_server
 from tests.codec.scenes import random_scene
-from tests.exports.test_paths import ring
+from tests.exports.test_camera_path import ring
 from tests.viewer.test_live import photo_view
 
 viser = pytest.importorskip("viser", reason="needs clgs[view]")

@@ -9,7 +9,7 @@ import pytest
 from clgs.errors import ClgsError, DataError
 from clgs.train.quality.lpips import Lpips, read_lpips_weights, require_onnx
 from tests.train.quality import lpips_reference as reference
-from tests.train.quality.test_metrics import pictures
+from tests.train.quality.test_scores import pictures
 
 BOUND = 1e-5
 """Relative: 13 layers and the differences of their unit vectors round in float32. Roundings of
