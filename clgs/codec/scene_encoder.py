@@ -96,7 +96,8 @@ def encode(
     Raises:
         CodecError: positions repeat or span 2^21 cells, or a weight or setting is not a sensible
             number; the message names the field and the remedy.
-        UsageError: no such level or mode, or a chunk or a number of threads or layers out of range.
+        UsageError: no such level or mode, a chunk or a number of threads or layers out of range,
+            or an importance without layers.
         ValueError: ``importance`` has another shape, or a number that is not finite or below 0.
         TypeError: ``scene`` is no quantised scene, a chunk or number of threads no integer, or a
             level or mode no string.
@@ -104,7 +105,7 @@ def encode(
     check_type("scene", scene, QuantizedScene, "a run has it as .scene, clgs.load_scene reads one")
     if chunk is None:
         chunk = DEFAULT_CHUNK if layers is None else smaller.CHUNK
-    check_options(level, chunk, mlp, layers)
+    check_options(level, chunk, mlp, layers, importance is not None)
     _check_scene(scene)
     detailed = details and layers is not None and layers > 1
     with workers(threads) as pool:
@@ -245,9 +246,18 @@ def attribute_rows(anchors: QuantizedAnchors) -> dict[str, npt.NDArray[np.int32]
 
 
 def check_options(
-    level: str, chunk: int | None, mlp: str = "auto", layers: int | None = None
+    level: str,
+    chunk: int | None,
+    mlp: str = "auto",
+    layers: int | None = None,
+    ordered: bool = False,
 ) -> None:
-    """Raise UsageError or TypeError unless ``encode`` takes these options."""
+    """Raise UsageError or TypeError unless ``encode`` takes these options.
+
+    ``ordered``: whether an importance of the anchors is given, too.
+    """
+    if ordered and layers is None:
+        raise UsageError("importance: orders the anchors of a file in layers; give layers, too")
     if layers is not None and not 1 <= check_integer("layers", layers) <= MAX_LAYERS:
         raise UsageError(f"layers: {layers}; 1 to {MAX_LAYERS} are possible")
     check_choice("level", level, LEVELS)

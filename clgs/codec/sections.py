@@ -246,7 +246,12 @@ def _add_entry(
     return entries[tag]
 
 
-_SPLAT_FILES = {b"ply": ".ply", b"\x1f\x8b": ".spz", b"NGSP": ".spz", b"PK\3\4": ".sog"}
+_OTHER_FILES = {
+    b"ply": "a .ply file",
+    b"\x1f\x8b": "a .spz file",
+    b"NGSP": "a .spz file",
+    b"PK\3\4": "a .sog or .npz file",
+}
 
 
 def _check_head(head: bytes, size: int) -> tuple[int, int]:
@@ -255,9 +260,9 @@ def _check_head(head: bytes, size: int) -> tuple[int, int]:
         raise CodecError("header at byte 0: the file is empty; encode the scene again")
     if head[:5] != MAGIC[:5]:
         remedy = "make one with `clgs train` or `clgs pack`"
-        for beginning, suffix in _SPLAT_FILES.items():
+        for beginning, kind in _OTHER_FILES.items():
             if head.startswith(beginning):
-                remedy += f"; it begins as a {suffix} file does: give it that suffix"
+                remedy += f"; it begins as {kind} does"
         raise CodecError(f"header at byte 0: not a .clgs file; {remedy}")
     if head[: len(MAGIC)] != MAGIC:
         raise CodecError(

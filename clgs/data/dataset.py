@@ -222,8 +222,8 @@ def load_dataset(
         dataset.points, _ = to_scene_points(dataset, world, None)
         if len(dataset.points) < LEAST_POINTS:
             raise DataError(
-                f"{named}: only {len(dataset.points)} of its points lie near the cameras; give "
-                "coordinates in the world units of the data set"
+                f"{named}: only {len(dataset.points)} of its {len(world):,} points lie near the "
+                "cameras; give more points, in the world units of the data set"
             )
     elif photos.points is not None:
         dataset.points, dataset.point_colors = to_scene_points(

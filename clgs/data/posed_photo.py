@@ -280,6 +280,8 @@ def locate_all(
             raise DataError(f"{one.source}: {photo.name!r} is listed twice; keep one of the two")
         else:
             photos[photo.name] = photo
+    if not listed:
+        raise DataError(f"{source}: lists no photos; export the poses again")
     if not photos:
         first = f" ({missing[0][:80]} and so on)" if missing else ""
         others = sorted(p for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES)

@@ -190,7 +190,7 @@ def read_frame(file: Path, document: dict[str, Any], number: int) -> ListedPhoto
         size = round(width), round(height)
     lens = partial(_read_lens, fields)
     lens(*(size or (1, 1)))  # a bad file is bad on every machine, even if the image is missing
-    mask = fields.text("mask_path", "") if "mask_path" in frame else None
+    mask = None if frame.get("mask_path") is None else fields.text("mask_path", "")
     name = fields.text("file_path", "")
     return ListedPhoto(name, source, rotation, translation, size, lens, mask, mask is None)
 
@@ -255,7 +255,7 @@ class _Fields:
 
 def _read_lens(fields: _Fields, width: int, height: int) -> Lens:
     flagged = fields.frame.get("is_fisheye", fields.shared.get("is_fisheye", False)) is True
-    model = fields.text("camera_model", "OPENCV_FISHEYE" if flagged else "OPENCV")
+    model = fields.text("camera_model", "OPENCV_FISHEYE" if flagged else "OPENCV").upper()
     if model not in COEFFICIENTS:
         known = ", ".join(COEFFICIENTS)
         fields.fail("camera_model", f"{model[:40]!r} is unknown; undistort to one of {known}")

@@ -6,6 +6,7 @@ sets, and a model is laid over them if they are exact enough for its size.
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -39,16 +40,25 @@ LIE, LIE_METRES = 5.0, 20.0
 FLAT = 0.02
 """The least ratio of a path's second extent to its first; a straight line tells no roll."""
 
+UPRIGHT = -0.25
+"""Least mean share of up in the cameras' own up, and half of that of down in their view: tags that
+are mirrored, as without E or W, fit a level path as well, turned upside down."""
+
 NAMED = 5
+
+_log = logging.getLogger(__name__)
 
 
 def read_place(path: Path) -> Place | None:
-    """Read latitude, longitude and altitude of a photo's GPS tags; None without usable ones."""
+    """Read latitude, longitude and altitude of a photo's GPS tags; None without usable ones.
+
+    The altitude is NaN if there is none.
+    """
     with open_image(path) as picture:
         tags = read_exif(picture).get_ifd(GPS)
     try:
         latitude, longitude = (_degrees(tags[tag]) for tag in (_LATITUDE, _LONGITUDE))
-        altitude = float(tags[_ALTITUDE])
+        altitude = float(tags[_ALTITUDE]) if _ALTITUDE in tags else math.nan
     except (KeyError, TypeError, ValueError, ZeroDivisionError):
         return None
     if str(tags.get(_NORTH, "N")).strip("\0 ").upper() == "S":
@@ -58,7 +68,7 @@ def read_place(path: Path) -> Place | None:
     if tags.get(_BELOW) in (1, b"\1"):
         altitude = -altitude
     place = latitude, longitude, altitude
-    known = all(map(math.isfinite, place)) and is_world(EARTH, place)
+    known = is_world(EARTH, (latitude, longitude, 0.0 if math.isnan(altitude) else altitude))
     return place if known and (latitude or longitude) else None  # 0, 0 is what no fix writes
 
 
@@ -70,13 +80,22 @@ def _degrees(parts: Any) -> float:
 def read_positions(paths: Iterable[Path]) -> tuple[dict[str, Floats], Place]:
     """Read where photos were taken, (3,) metres east, north and up of a place in their middle.
 
+    Photos whose tags have no altitude get the median of the others, or 0, with a warning.
+
     Returns:
         The positions by the names of the files, of those with GPS tags; and the place.
     """
     places = {path.name: place for path in paths if (place := read_place(path))}
     if not places:
         return {}, NOWHERE
-    middle = np.median(list(places.values()), axis=0)
+    table = np.array(list(places.values()))
+    if (level := np.isnan(table[:, 2])).any():
+        usual = 0.0 if level.all() else float(np.median(table[~level, 2]))
+        text = "GPS tags of %d of %d photos have no altitude; %g m is assumed"
+        _log.warning(text, level.sum(), len(level), usual)
+        table[level, 2] = usual
+        places = {name: tuple(row) for name, row in zip(places, table.tolist(), strict=True)}
+    middle = np.median(table, axis=0)
     origin = float(middle[0]), float(middle[1]), float(middle[2])
     axes, centre = axes_at(origin), geocentric(origin)
     return {name: axes @ (geocentric(place) - centre) for name, place in places.items()}, origin
@@ -119,6 +138,14 @@ def fit(
     if usual > EXACT * extent:
         return None, [
             f"{unused}: they are {usual:.1f} m off the poses at the median, on {extent:.1f} m"
+        ]
+    rotation = poses.rotation[[place[name] for name in names]]
+    turned = found.rotation.matrix() @ rotation.transpose(0, 2, 1)
+    upright = -turned[:, 2, 1] - turned[:, 2, 2] / 2  # image up, and half of looking down
+    if float(upright.mean()) < UPRIGHT:
+        return None, [
+            f"{unused}: cameras would stand on their heads; the tags are mirrored: check N and S, "
+            "E and W, and which is the latitude"
         ]
     lying = [
         f"{own_names[name]} by {distance:.0f} m"

@@ -96,7 +96,7 @@ def _check_settings(given: dict[str, Any]) -> None:
     chunk = given["channel_chunk"]
     if not isinstance(chunk, int | np.integer) or chunk < 1:
         raise ValueError(f"channel_chunk: {chunk!r} is not a whole number of at least 1")
-    check_type("options", given["options"], RenderOptions, "see clgs.RenderOptions")
+    check_type("options", given["options"], RenderOptions, "see clgs.render_options")
     if given["options"].accuracy.inclusive_stop:
         raise ValueError("options: an inclusive stop is not offered; use 'parity'")
     if given["device"] is not None:

@@ -13,7 +13,7 @@ import secrets
 import socket
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, redirect_stdout
+from contextlib import closing, contextmanager, redirect_stdout
 from dataclasses import dataclass, replace
 from ipaddress import ip_address
 from typing import Any
@@ -159,9 +159,16 @@ def open_server(shown: Shown, host: str, port: int, token: str) -> Any:
     Its page is at http://HOST:PORT/TOKEN/, see :mod:`clgs.viewer.server`.
 
     Raises:
-        ClgsError: viser is missing, or the port cannot be opened.
+        ClgsError: viser is missing, or the address or the port cannot be opened.
     """
     viser = load_viser()
+    try:  # viser would wait for ever for an address that is not this machine's
+        with closing(socket.create_server((host, 0))):
+            pass
+    except OSError as error:
+        raise ClgsError(
+            f"host {host} cannot be used ({error}); give another --host, such as 0.0.0.0"
+        ) from error
     # a picture that was drawn while its browser went away
     warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
     try:

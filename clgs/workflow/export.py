@@ -283,8 +283,10 @@ def _encode(
     apart = np.abs(encoded.gaussians.mean - gaussians.mean).max(axis=1)
     moved, size = float(np.median(apart)), float(np.exp(np.median(gaussians.log_scale)))
     remedy = "--units scene puts their middle at the origin, and .glb keeps both"
+    if transform == IDENTITY:
+        remedy = "distant ones make the file coarse: leave them out, or write .ply"
     if moved > LOSSY * size:
-        times = f"{moved / size:.1f} times the size of a splat"
+        times = f"{moved / size:.2g} times the size of a splat"
         on_event(Note(f"{output}: splats are moved by {times}, half of them further; {remedy}"))
     elif file_units(gaussians, transform)[2].any():
         text = "many programs compute in float32, too coarse so far from the origin"

@@ -211,5 +211,5 @@ def test_points_move_with_the_data_set(data, tmp_path):
 
 def test_points_far_from_all_cameras_are_refused(data, tmp_path):
     path = write(tmp_path / "far.ply", trimesh.PointCloud(np.eye(3) * 1e6))
-    with pytest.raises(DataError, match=r"far\.ply: only 0 of its points lie near the cameras"):
+    with pytest.raises(DataError, match=r"far\.ply: only 0 of its 3 points lie near the cameras"):
         load_dataset(data, points_file=path)

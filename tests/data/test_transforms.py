@@ -171,7 +171,7 @@ def test_coefficients_may_be_a_list(tmp_path, own):
     save_json(tmp_path, document)
     for photo in everything(tmp_path):
         assert [*photo.lens.radial[:3], *photo.lens.tangential] == [*listed[:3], *listed[4:]]
-    document["camera_model"] = "OPENCV_FISHEYE"
+    document["camera_model"] = "opencv_fisheye"  # any case
     save_json(tmp_path, document)
     lens = everything(tmp_path)[0].lens
     assert (lens.fisheye, *lens.radial) == (True, *listed[:4])
@@ -181,6 +181,14 @@ def test_coefficients_may_be_a_list(tmp_path, own):
         message = r"frame 0: (distortion_params is not a list|p2 is not)"
         with pytest.raises(DataError, match=message):
             read_transforms(tmp_path)
+
+
+def test_no_mask_may_be_null(tmp_path):
+    document = write_transforms(tmp_path, 2)
+    for frame in document["frames"]:
+        frame["mask_path"] = None
+    save_json(tmp_path, document)
+    assert [photo.mask for photo in everything(tmp_path)] == [None, None]
 
 
 def test_angle_gives_focal_length_and_extension_is_found(tmp_path):

@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 from clgs.cli.main import explain
 from clgs.data.dataset import load_dataset, read_photo_set
 from clgs.errors import DataError
-from clgs.poses.gps import GPS, read_place
+from clgs.poses.evidence import Poses
+from clgs.poses.gps import GPS, fit, read_place, read_positions
 from clgs.poses.prepare import prepare
 from clgs.poses.verdict import GOOD
 from clgs.scene.world import EARTH, axes_at, geocentric, place_of
@@ -132,8 +133,8 @@ def test_poses_of_other_photos_are_refused_in_a_line(tmp_path: Path):
     assert not (tmp_path / "data").exists()
 
 
-def tag(path: Path, place: tuple[float, float, float]) -> None:
-    """Save a photo again as JPEG with a GPS tag."""
+def tag(path: Path, place: tuple[float, float, float], without: tuple[int, ...] = ()) -> None:
+    """Save a photo again as JPEG with a GPS tag, which lacks the parts ``without``."""
     exif = Image.Exif()
 
     def parts(degrees: float) -> tuple[IFDRational, ...]:
@@ -152,6 +153,8 @@ def tag(path: Path, place: tuple[float, float, float]) -> None:
             6: IFDRational(round(abs(altitude) * 1000), 1000),
         }
     )
+    for part in without:
+        exif.get_ifd(GPS).pop(part)
     Image.open(path).save(path.with_suffix(".jpg"), exif=exif, quality=95)
     path.unlink()
 
@@ -164,6 +167,45 @@ def test_gps_tags_are_read(tmp_path: Path, place: tuple[float, float, float]):
     tag(photo, place)
     assert read_place(photo.with_suffix(".jpg")) == pytest.approx(place, abs=1e-8)
     assert place_of(geocentric(place)) == pytest.approx(place, abs=1e-8)
+
+
+def test_a_tag_without_altitude_gets_that_of_the_others(tmp_path: Path, caplog):
+    photos = [tmp_path / f"{number}.png" for number in range(3)]
+    for photo, without in zip(photos, ((), (5, 6), ()), strict=True):
+        Image.new("RGB", (8, 6)).save(photo)
+        tag(photo, BERN, without)
+    positions, origin = read_positions(tmp_path.glob("*.jpg"))
+    assert origin == pytest.approx(BERN, abs=1e-8)
+    assert np.abs(list(positions.values())).max() < 1e-3
+    said = f"GPS tags of 1 of 3 photos have no altitude; {BERN[2]:g} m is assumed"
+    assert [record.getMessage() for record in caplog.records] == [said]
+
+
+class LevelWalk:
+    """A workspace of photos that walk around a house, and the tags that they have."""
+
+    def __init__(self, mirrored: bool) -> None:
+        angle = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+        centre = 10 * np.stack([np.cos(angle), np.sin(angle), 0.01 * np.sin(5 * angle)], 1)
+        self.names = [f"{number}.jpg" for number in range(16)]
+        tags = centre * np.array([-1.0 if mirrored else 1.0, 1.0, 1.0])
+        self.positions = dict(zip(self.names, tags, strict=True))
+        self.pycolmap, self.seed = pytest.importorskip("pycolmap"), 0
+        away = centre * [1, 1, 0]
+        forward = -away / np.linalg.norm(away, axis=1, keepdims=True)
+        down = np.broadcast_to([0.0, 0.0, -1.0], forward.shape)
+        rotation = np.stack([np.cross(down, forward), down, forward], 1)
+        self.poses = Poses(self.names, rotation, centre / 3, np.ones(16))
+
+
+def test_mirrored_gps_tags_are_refused():
+    """A level walk fits tags of America without W, too, turned upside down."""
+    for mirrored in (False, True):
+        walk = LevelWalk(mirrored)
+        found, notes = fit(walk, walk.poses, {name: name for name in walk.names})
+        assert (found is None) == mirrored
+        assert len(notes) == 1
+        assert ("the tags are mirrored" in notes[0]) == mirrored
 
 
 @pytest.mark.slow

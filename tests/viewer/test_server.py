@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from clgs.errors import ClgsError
 from clgs.exports.framing import frame_cameras, frame_scene
 from clgs.lab.scenes import anchor_scene
 from clgs.viewer.live import LiveScene, eye_of
@@ -195,3 +196,9 @@ def test_whom_the_viewer_answers(path, host, origin, enters):
     origins = [] if origin is None else [origin]
     assert may_enter("127.0.0.1", TOKEN, path, [host], origins) == enters
     assert not may_enter("127.0.0.1", TOKEN, path, [host, host], origins)
+
+
+def test_an_address_of_another_machine_is_refused_at_once():
+    said = r"^host 192\.0\.2\.1 cannot be used .*; give another --host, such as 0\.0\.0\.0$"
+    with pytest.raises(ClgsError, match=said):
+        open_server(None, "192.0.2.1", 0, "token")

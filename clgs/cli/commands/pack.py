@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     from clgs.cli.tell import tell
     from clgs.codec.octree import PositionsError
     from clgs.codec.splat_packing import pack
-    from clgs.data.splats.gaussians import lacking
+    from clgs.data.splats.gaussians import problem_of
     from clgs.data.splats.integer_splats import group_of, read_splats
     from clgs.errors import CodecError, UsageError
     from clgs.files import atomic_write
@@ -77,10 +77,9 @@ def run(args: argparse.Namespace) -> int:
         if len({*steps.values()}) == 1:
             shown = f"{min(steps.values()):g}"
         print(f"{group}: step {shown}, rounded by at most {errors[group]:.2g}")
-    if missing := lacking(splats.names):
+    if problem := problem_of(splats.names) or ("" if len(splats) else "holds no splats"):
         tell(
-            f"clgs: {args.splats}: property {missing[0]} is missing, so these are points, no 3DGS "
-            "splats: `clgs unpack` gives them back, but nothing draws them"
+            f"clgs: {args.splats}: {problem}: `clgs unpack` gives them back, but nothing draws them"
         )
     size = args.splats.stat().st_size
     print(

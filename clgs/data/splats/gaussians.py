@@ -241,9 +241,16 @@ def scene_of_packed(splats: QuantizedSplats, path: Path) -> SplatScene:
     return scene_of({name: splats.values[:, i] * step for i, (name, step) in pairs}, path)
 
 
-def lacking(names: Collection[str]) -> list[str]:
-    """What a file with the properties ``names`` lacks to be one of 3DGS splats."""
-    return [name for name in (*POSITION, *DC, "opacity", *SCALE, *ROTATION) if name not in names]
+def problem_of(names: Collection[str]) -> str:
+    """Why properties with these names are none of 3DGS splats; empty if they are."""
+    rest = [f"{REST}{i}" for i in range(sum(name.startswith(REST) for name in names))]
+    needed = *POSITION, *DC, "opacity", *SCALE, *ROTATION
+    if missing := [name for name in needed if name not in names]:
+        return f"property {missing[0]} is missing, so these are points, no 3DGS splats"
+    if missing := [name for name in rest if name not in names]:
+        return f"property {missing[0]} is missing; {REST}* count from 0 without a gap"
+    whole = len(rest) % 3 == 0 and 1 + len(rest) // 3 in DEGREES
+    return "" if whole else f"{len(rest)} properties {REST}*; 0, 9, 24 or 45 make a whole degree"
 
 
 def scene_of(columns: Properties, path: Path, comments: Sequence[str] = ()) -> SplatScene:
@@ -258,13 +265,9 @@ def scene_of(columns: Properties, path: Path, comments: Sequence[str] = ()) -> S
         raise DataError(
             f"{path}: holds anchors, no splats; `clgs encode` makes a .clgs file of it first"
         )
+    if problem := problem_of(columns):
+        raise DataError(f"{path}: {problem}")
     rest = [f"{REST}{i}" for i in range(sum(name.startswith(REST) for name in columns))]
-    if missing := [*lacking(columns), *(name for name in rest if name not in columns)]:
-        raise DataError(f"{path}: property {missing[0]} is missing; these are no 3DGS splats")
-    if len(rest) % 3 or 1 + len(rest) // 3 not in DEGREES:
-        raise DataError(
-            f"{path}: {len(rest)} properties {REST}*; 0, 9, 24 or 45 make a whole degree"
-        )
     columns = {**columns, **_directions(columns)}
     names = [*POSITION, *DC, *rest, "opacity", *SCALE, *ROTATION]
     with np.errstate(over="ignore", invalid="ignore"):

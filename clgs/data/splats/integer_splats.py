@@ -76,7 +76,10 @@ def read_splats(path: Path, steps: dict[str, float]) -> tuple[QuantizedSplats, d
         values = {name: table.columns[name].astype(np.float64) for name in names}
     for name in names:
         if not np.isfinite(values[name]).all():
-            raise DataError(f"{path}: property {name}: a number is not finite; correct the file")
+            raise DataError(
+                f"{path}: property {name}: a number is not finite; "
+                "`clgs export FILE -o clean.ply` leaves such splats out"
+            )
     if all(name in values for name in ROTATION):
         rotation = np.stack([values[name] for name in ROTATION], 1)
         length = np.linalg.norm(rotation, axis=1, keepdims=True)

@@ -195,7 +195,7 @@ def test_what_is_no_clgs_file():
     for data in (b"PK\3\4" + bytes(50), b"ply\n", bytes(1000)):
         with pytest.raises(CodecError, match=r"not a \.clgs file; make one"):
             decode(data)
-    with pytest.raises(CodecError, match=r"it begins as a \.ply file does: give it that suffix"):
+    with pytest.raises(CodecError, match=r"`clgs pack`; it begins as a \.ply file does$"):
         decode(b"ply\n")
     with pytest.raises(CodecError, match="empty"):
         decode(b"")

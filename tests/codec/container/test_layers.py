@@ -125,6 +125,11 @@ def test_importance_that_is_none_is_refused(scene, worst):
         encode(scene, layers=2, importance=np.ones(len(scene.anchors) - 1))
 
 
+def test_an_order_needs_layers(scene):
+    with pytest.raises(UsageError, match=r"^importance: orders the anchors of a file in layers"):
+        encode(scene, importance=np.ones(len(scene.anchors)))
+
+
 def test_importance_decides_which_anchors_come_first(scene):
     importance = np.zeros(len(scene.anchors))
     importance[[3, 77, 200]] = 1.0

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from clgs.cli.main import main
 from clgs.codec.splat_packing import QuantizedSplats, pack, sort_splats, unpack
+from clgs.data.splats.gaussians import DC, POSITION, ROTATION, SCALE
 from clgs.data.splats.integer_splats import (
     group_of,
     read_splats,
@@ -201,6 +202,11 @@ def test_points_that_are_no_splats_are_called_so(tmp_path, rng, capsys):
     words = ["pack", str(path), "-o", str(tmp_path / "p.clgs"), "--step", "odd=1"]
     assert main(words) == 0
     assert "property f_dc_0 is missing, so these are points, no 3DGS" in capsys.readouterr().err
+    names = *POSITION, *DC, "opacity", *SCALE, *ROTATION, "f_rest_0", "f_rest_1", "f_rest_3"
+    columns = {name: np.ones(3, np.float32) for name in names}
+    path.write_bytes(pack_ply(PlyTable(columns)))
+    assert main(["pack", str(path), "-o", str(tmp_path / "gap.clgs")]) == 0
+    assert "property f_rest_2 is missing; f_rest_* count from 0" in capsys.readouterr().err
 
 
 @pytest.mark.filterwarnings("error")
