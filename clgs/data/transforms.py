@@ -177,7 +177,7 @@ def read_frame(file: Path, document: dict[str, Any], number: int) -> ListedPhoto
     frame, source = document["frames"][number], f"{file}: frame {number}"
     if not isinstance(frame, dict):
         raise DataError(f"{source} is not an object; correct it")
-    fields = _Fields(frame, document, source)
+    fields = _Fields(frame, document, source, str(file))
     rotation, translation = fields.pose()
     if "file_path" not in frame:
         fields.fail("file_path", "is missing; name the image")
@@ -197,18 +197,23 @@ def read_frame(file: Path, document: dict[str, Any], number: int) -> ListedPhoto
 
 @dataclass(frozen=True)
 class _Fields:
-    """The fields of one frame, then those that all frames share, read with checks."""
+    """The fields of one frame, then those that all frames share, read with checks.
+
+    source, shared_source: where they are, for messages.
+    """
 
     frame: dict[str, Any]
     shared: dict[str, Any]
     source: str
+    shared_source: str
 
     def level(self, group: Sequence[str]) -> dict[str, Any]:
         """The fields of the frame if it has any of ``group``, else the shared ones."""
         return self.frame if any(key in self.frame for key in group) else self.shared
 
     def fail(self, key: str, problem: str) -> NoReturn:
-        raise DataError(f"{self.source}: {key} {problem}")
+        is_shared = key not in self.frame and key in self.shared
+        raise DataError(f"{self.shared_source if is_shared else self.source}: {key} {problem}")
 
     def number(self, key: str, default: float, group: Sequence[str]) -> float:
         value = self.level(group).get(key, default)

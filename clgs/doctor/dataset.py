@@ -265,7 +265,8 @@ def _piecewise(root: Path) -> tuple[PhotoSet, list[Finding]]:
                 listed = read_frame(file, document, number)
                 photo = locate(listed, root, files)
             except DataError as error:
-                findings.append(from_error(error))
+                if (finding := from_error(error)) not in findings:  # of a field that frames share
+                    findings.append(finding)
                 continue
             if photo is None:
                 missing.append(listed.name)

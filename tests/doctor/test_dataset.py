@@ -154,6 +154,18 @@ def test_nothing_left_to_train_on_is_an_error(healthy):
     assert has(levels(healthy)[ERROR], "all photos are held out, none is left to train on")
 
 
+def test_a_fault_that_all_frames_share_is_said_once(healthy):
+    document = json.loads((healthy / "transforms.json").read_text())
+    save_json(healthy, document | {"k1": None})
+    (line,) = (line for line in levels(healthy)[ERROR] if "k1" in line)
+    assert line.endswith("transforms.json: k1 is not a number")
+    change(healthy, 3, k1=None)
+    own = [line for line in levels(healthy)[ERROR] if "k1" in line]
+    assert [line.rpartition("transforms.json")[2] for line in own] == [
+        *(": k1 is not a number", ": frame 3: k1 is not a number")
+    ]
+
+
 def test_cameras_in_one_place(healthy):
     document = json.loads((healthy / "transforms.json").read_text())
     for frame in document["frames"]:
