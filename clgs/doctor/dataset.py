@@ -301,14 +301,16 @@ def _missing(root: Path, photos: PhotoSet) -> Iterator[Finding]:
 
 
 def _points(photos: PhotoSet) -> Iterator[Finding]:
-    if photos.points is not None and len(photos.points) < FEW_POINTS:
-        problem = f"only {len(photos.points)} points to start from"
-        yield Finding(WARNING, "", problem, "prepare again, or give --points FILE")
+    points = photos.points
     if photos.points_file is not None:
         try:
-            read_points(photos.points_file, FEW_POINTS, photos.kind, seed=0)
+            points = read_points(photos.points_file, FEW_POINTS, photos.kind, seed=0)
         except DataError as error:
             yield from_error(error)
+    if points is not None and len(points) < FEW_POINTS:
+        problem = f"only {len(points)} points to start from"
+        remedy = "prepare again, or give --points FILE"
+        yield Finding(WARNING, str(photos.points_file or ""), problem, remedy)
     if models := photos.models_in_words():
         remedy = "if photos are missing, take more between the parts and prepare again"
         yield Finding(NOTE, "", models, remedy)

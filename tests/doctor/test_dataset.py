@@ -276,3 +276,4 @@ def test_a_damaged_file_of_points(healthy):
         f"ply\nformat ascii 1.0\nelement vertex 3\n{axes}end_header\n0 0 0\n1 0 0\n0 1 0\n"
     )
     assert not levels(healthy)[ERROR]
+    assert has(levels(healthy)[WARNING], "points.ply", "only 3 points to start from")
