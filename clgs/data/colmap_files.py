@@ -190,7 +190,7 @@ def _read_text_points(
     path: Path, observations: dict[int, int]
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.uint8]]:
     numbers, positions, colors = [], [], []
-    line = _Line(path, 0, [])
+    line, listed = _Line(path, 0, []), any(observations.values())  # some programs leave them out
     for line in _lines(path):
         track = line.check(_TEXT_POINT)
         if len(track) % 2:
@@ -198,7 +198,7 @@ def _read_text_points(
         for image, index in zip(track[::2], track[1::2], strict=True):
             if not (_is_whole(image) and _is_whole(index)):
                 line.fail(f"TRACK has {image[:40]!r}, {index[:40]!r}, not whole numbers")
-            if not 0 <= int(index) < observations.get(int(image), 0):
+            if listed and not 0 <= int(index) < observations.get(int(image), 0):
                 line.fail(f"TRACK: images.txt has no point {int(index)} of image {int(image)}")
         numbers.append(int(line.words[0]))
         positions.append([float(word) for word in line.words[1:4]])

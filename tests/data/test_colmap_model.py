@@ -301,6 +301,16 @@ def test_a_photo_with_two_poses_is_refused(tmp_path, text):
         load(tmp_path)
 
 
+def test_tracks_of_images_without_observations_are_not_checked(tmp_path):
+    """Some programs write tracks, but no line of POINTS2D has a number."""
+    write_colmap(tmp_path, text=True, rigs=False)
+    folder = tmp_path / "sparse" / "0"
+    poses = [x for x in (folder / "images.txt").read_text().splitlines() if x.endswith(".png")]
+    (folder / "images.txt").write_text("".join(f"{pose}\n\n" for pose in poses))
+    (folder / "points3D.txt").write_text("7 2 3 4 1 2 3 0.1 1 99 2 98\n")
+    assert load(tmp_path).points.tolist() == [[2, 3, 4]]
+
+
 @pytest.mark.parametrize("content", ["", "# nothing\n"])
 def test_a_model_without_images_is_one_line(tmp_path, content):
     write_colmap(tmp_path, text=True, rigs=False)
