@@ -91,7 +91,7 @@ def rasterization(  # noqa: PLR0913  gsplat's arguments
 
     Args:
         means: (..., N, 3) float32, scene units.
-        quats: (..., N, 4) float32, w x y z, of any length above 0.
+        quats: (..., N, 4) float32, w x y z, of any length from 1e-18 to 1e18.
         scales: (..., N, 3) float32, scene units.
         opacities: (..., N) float32, 0 to 1.
         colors: (..., [C,] N, D) float32, or harmonics (..., [C,] N, K, 3) with ``sh_degree``.
