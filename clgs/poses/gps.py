@@ -6,7 +6,6 @@ sets, and a model is laid over them if they are exact enough for its size.
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -46,8 +45,6 @@ are mirrored, as without E or W, fit a level path as well, turned upside down.""
 
 NAMED = 5
 
-_log = logging.getLogger(__name__)
-
 
 def read_place(path: Path) -> Place | None:
     """Read latitude, longitude and altitude of a photo's GPS tags; None without usable ones.
@@ -77,28 +74,30 @@ def _degrees(parts: Any) -> float:
     return degrees + minutes / 60 + seconds / 3600
 
 
-def read_positions(paths: Iterable[Path]) -> tuple[dict[str, Floats], Place]:
+def read_positions(paths: Iterable[Path]) -> tuple[dict[str, Floats], Place, list[str]]:
     """Read where photos were taken, (3,) metres east, north and up of a place in their middle.
 
-    Photos whose tags have no altitude get the median of the others, or 0, with a warning.
+    Photos whose tags have no altitude get the median of the others, or 0.
 
     Returns:
-        The positions by the names of the files, of those with GPS tags; and the place.
+        The positions by the names of the files, of those with GPS tags; the place; and the notes
+        for the user.
     """
     places = {path.name: place for path in paths if (place := read_place(path))}
     if not places:
-        return {}, NOWHERE
-    table = np.array(list(places.values()))
+        return {}, NOWHERE, []
+    table, notes = np.array(list(places.values())), []
     if (level := np.isnan(table[:, 2])).any():
         usual = 0.0 if level.all() else float(np.median(table[~level, 2]))
-        text = "GPS tags of %d of %d photos have no altitude; %g m is assumed"
-        _log.warning(text, level.sum(), len(level), usual)
+        few = f"{level.sum()} of {len(level)} photos"
+        notes = [f"GPS tags of {few} have no altitude; {usual:g} m is assumed"]
         table[level, 2] = usual
         places = {name: tuple(row) for name, row in zip(places, table.tolist(), strict=True)}
     middle = np.median(table, axis=0)
     origin = float(middle[0]), float(middle[1]), float(middle[2])
     axes, centre = axes_at(origin), geocentric(origin)
-    return {name: axes @ (geocentric(place) - centre) for name, place in places.items()}, origin
+    found = {name: axes @ (geocentric(place) - centre) for name, place in places.items()}
+    return found, origin, notes
 
 
 def fit(

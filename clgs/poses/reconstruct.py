@@ -119,7 +119,8 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
         pycolmap.set_random_seed(seed)
         files = {work / "numbered" / file: name for file, name in own_names.items()}
         posed, notes = fitting(known, files)
-        positions, origin = read_positions(files)
+        positions, origin, more = read_positions(files)
+        notes += more
         workspace = replace(
             workspace, known=posed, positions=positions, finished=finished if kept else None
         )
