@@ -1,8 +1,8 @@
 /* Binding of clgs_codec.h: buffers in, bytes or a filled caller's buffer out, GIL released.
  *
  * Arrays are plain contiguous buffers of 4- or 8-byte words in native byte order; the modules
- * clgs.codec.octree.position_coder, clgs.codec.attributes.runlength and clgs.codec.attributes.paper
- * check shapes and dtypes. Only the limited API.
+ * clgs.codec.octree, clgs.codec.row_coder and clgs.codec.chunks check shapes and dtypes. Only the
+ * limited API.
  */
 #include "bindings.h"
 
