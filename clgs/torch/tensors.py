@@ -63,7 +63,8 @@ class ViewsCall:
 
     def expect(self, begun: views.SplatGradients, tensors: list[Tensor | None]) -> None:
         """Keep what was begun from ``tensors``, which autograd passes on unless others add."""
-        self.begun = begun  # alive: another tensor must not take the memory
+        self.begun = begun
+        # kept alive, so that no other tensor takes their memory
         self._passed = [None if one is None else (one, one._version) for one in tensors]
 
     def take_begun(self, tensors: tuple[Tensor | None, ...]) -> views.SplatGradients | None:

@@ -13,7 +13,7 @@ import secrets
 import socket
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, replace
 from ipaddress import ip_address
 from typing import Any
@@ -163,8 +163,8 @@ def open_server(shown: Shown, host: str, port: int, token: str) -> Any:
     """
     viser = load_viser()
     try:  # viser would wait for ever for an address that is not this machine's
-        with closing(socket.create_server((host, 0))):
-            pass
+        family = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0][0]
+        socket.create_server((host, 0), family=family).close()
     except OSError as error:
         raise ClgsError(
             f"host {host} cannot be used ({error}); give another --host, such as 0.0.0.0"

@@ -198,7 +198,8 @@ def test_whom_the_viewer_answers(path, host, origin, enters):
     assert not may_enter("127.0.0.1", TOKEN, path, [host, host], origins)
 
 
-def test_an_address_of_another_machine_is_refused_at_once():
-    said = r"^host 192\.0\.2\.1 cannot be used .*; give another --host, such as 0\.0\.0\.0$"
+@pytest.mark.parametrize("host", ["192.0.2.1", "2001:db8::1", "no.such.name.invalid"])
+def test_an_address_of_another_machine_is_refused_at_once(host):
+    said = rf"^host {host} cannot be used .*; give another --host, such as 0\.0\.0\.0$"
     with pytest.raises(ClgsError, match=said):
-        open_server(None, "192.0.2.1", 0, "token")
+        open_server(None, host, 0, "token")

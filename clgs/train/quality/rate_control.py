@@ -7,7 +7,7 @@ grid would move all Gaussians of an anchor, and positions are a small share.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -190,7 +190,7 @@ def reduce_to_psnr(
             low = count
     reached = judge.psnr(best) if after is None else after
     found = Reduced(best, encode(best), {}, (before, reached))
-    return _coarser(scene, target, encode, judge, order, found)
+    return _coarser(scene, target, encode, judge, order, found, before)
 
 
 def _coarser(
@@ -200,10 +200,11 @@ def _coarser(
     judge: SceneJudge,
     order: npt.NDArray[np.intp],
     found: Reduced,
+    before: float,
 ) -> Reduced:
     """What has ``target`` dB in fewer bytes than ``found``, by coarser integers, if anything has.
 
-    Anchors are kept from the start of ``order`` on.
+    Anchors are kept from the start of ``order`` on. ``before``: PSNR of the whole scene.
     """
     whole, least = len(encode(scene)), len(encode(take(scene, np.arange(0))))
     if len(found.data) <= least:
@@ -220,8 +221,7 @@ def _coarser(
         fitted = fit_coarsened(scene, factors, products, order, size, encode)
         reached = judge.psnr(fitted[0])
         if reached >= target:
-            found = replace(found, scene=fitted[0], data=fitted[1], factors=fitted[2])
-            found = replace(found, psnr=found.psnr and (found.psnr[0], reached))
+            found = Reduced(*fitted, (before, reached))
         else:
             too_small = size
     return found
