@@ -183,7 +183,9 @@ def test_bad_input_is_one_line(run, tmp_path):
         assert not output.exists()
         one_line(clgs("info", file), 3, "clgs: error:")
         one_line(clgs("eval", file, "--hashes", run / "hashes.json"), 3, "clgs: error:")
-    one_line(clgs("encode", tmp_path / "empty", "-o", tmp_path / "x.clgs"), 3, "scene.npz")
+    for options in ([], ["--target-psnr", 30], ["--layers", 2]):
+        words = "encode", tmp_path / "empty", "-o", tmp_path / "x.clgs"
+        one_line(clgs(*words, *options), 3, "scene.npz")
     assert not (tmp_path / "x.clgs").exists()
     assert not (tmp_path / "r" / "config.toml").exists()
 

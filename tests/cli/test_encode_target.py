@@ -47,6 +47,8 @@ def test_options_must_fit_each_other(scene, target, capsys):
         ["--target-size", "10"],
         ["--mlps", "x.npz"],
         ["--all-views"],
+        ["--downscale", "2"],
+        ["--target-size", "10k", "--max-size", "60"],
     ):
         assert main(["encode", scene, "-o", str(target), *options]) == 2
         assert capsys.readouterr().err.count("\n") == 1

@@ -133,18 +133,21 @@ def run(args: argparse.Namespace) -> int:
     target = args.target_size is not None or args.target_psnr is not None
     _check_together(args.all_views, target, args.layers)
     views = view_options(vars(args))
-    if target or args.layers or args.data:  # imports much that a plain encode does not need
+    sized = (args.downscale, args.max_size) != (None, None)
+    if target or args.layers or args.data or sized:  # imports what a plain encode does not need
         from clgs.workflow.smaller import encode_within, importance_in_views, with_photos
-        from clgs.workflow.views import data_of, known_data
-    if (target or args.layers) and views.data is None:
-        needed = args.target_psnr is not None or args.all_views
-        views = replace(views, data=data_of(path) if needed else known_data(path))
+        from clgs.workflow.views import check_photo_options, data_of, known_data
     if is_ply:
         scene = load_scaffold(path, args.mlps, QuantizationScales(*args.q) if args.q else None)
     elif args.mlps or args.q:
         raise UsageError(f"{path}: --mlps and --q are for a PLY file; leave them out")
     else:
         scene, _ = read_scene(path)
+    if (target or args.layers) and views.data is None:
+        needed = args.target_psnr is not None or args.all_views
+        views = replace(views, data=data_of(path) if needed else known_data(path))
+    if sized:
+        check_photo_options(views)
     if args.data and not (target or args.layers):
         with Display() as display:
             scene = with_photos(path, scene, views, display)

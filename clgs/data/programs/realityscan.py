@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import csv
 import logging
+import re
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from functools import partial
 from pathlib import Path
 
@@ -29,6 +31,8 @@ FILM = 36.0
 
 NEEDED = "name", "x", "y", "alt", "heading", "pitch", "roll", "f"
 RADIAL = "k1", "k2", "k3", "k4"
+HEADER = re.compile(r"\s*#\s*name\s*([,;\t])\s*x\s*\1\s*y\s*\1", re.IGNORECASE)
+"""Begins the line that names the columns; which sign separates them."""
 MAX_BYTES = 64 * 2**20
 
 _log = logging.getLogger(__name__)
@@ -38,10 +42,16 @@ def find(root: Path) -> Path | None:
     """The CSV file of cameras in a folder, the first by name."""
     for path in filter(Path.is_file, sorted(root.glob("*.[cC][sS][vV]"))):
         with path.open("rb") as file:
-            lines = file.read(4096).removeprefix(b"\xef\xbb\xbf").lower().splitlines()
-        if any(line.replace(b" ", b"").startswith(b"#name,x,y,") for line in lines[:2]):
+            start = file.read(4096)
+        lines = start.decode(_encoding(start), errors="ignore").splitlines()
+        if any(HEADER.match(line) for line in lines[:2]):
             return path
     return None
+
+
+def _encoding(start: bytes) -> str:
+    """How a file that begins with these bytes is written; spreadsheets save UTF-16."""
+    return "utf-16" if start.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) else "utf-8-sig"
 
 
 def read(root: Path, file: Path) -> PhotoSet:
@@ -76,18 +86,28 @@ def _rows(file: Path) -> list[tuple[int, dict[str, str]]]:
     """The lines of cameras with their numbers, by the names of the columns."""
     if file.stat().st_size > MAX_BYTES:
         raise DataError(f"{file}: larger than {MAX_BYTES >> 20} MiB; export fewer cameras")
+    data = file.read_bytes()
     try:
-        lines = file.read_text(encoding="utf-8-sig").splitlines()
+        lines = data.decode(_encoding(data)).splitlines()
     except UnicodeDecodeError:
-        raise DataError(f"{file}: is not UTF-8; export the camera parameters again") from None
-    start = next(i for i, line in enumerate(lines) if "name" in line.lower())
-    columns = [name.strip().lower() for name in lines[start].lstrip("#").split(",")]
+        raise DataError(
+            f"{file}: is neither UTF-8 nor UTF-16; export the camera parameters again"
+        ) from None
+    start, header = next(
+        (i, found) for i, line in enumerate(lines) if (found := HEADER.match(line))
+    )
+    separator = header[1]
+    columns = [name.strip().lower() for name in lines[start].strip()[1:].split(separator)]
     if lacking := [name for name in NEEDED if name not in columns]:
         raise DataError(
             f"{file}: has no column {lacking[0]}; export 'Internal/External camera parameters'"
         )
+    try:
+        below = list(csv.reader(lines[start + 1 :], delimiter=separator))
+    except csv.Error as error:
+        raise DataError(f"{file}: {error}; export the camera parameters again") from None
     rows = []
-    for place, values in enumerate(csv.reader(lines[start + 1 :]), start + 2):
+    for place, values in enumerate(below, start + 2):
         if not values or values[0].startswith("#"):
             continue
         if len(values) != len(columns):
@@ -95,7 +115,10 @@ def _rows(file: Path) -> list[tuple[int, dict[str, str]]]:
                 f"{file}: line {place}: {len(values)} values for {len(columns)} columns; export "
                 "it again"
             )
-        rows.append((place, dict(zip(columns, map(str.strip, values), strict=True))))
+        row = dict(zip(columns, map(str.strip, values), strict=True))
+        if separator == ";":  # of spreadsheets in languages whose decimal mark is the comma
+            row |= {name: text.replace(",", ".") for name, text in row.items() if name != "name"}
+        rows.append((place, row))
     return rows
 
 

@@ -143,6 +143,34 @@ def test_realityscan_looks_where_heading_pitch_and_roll_say(tmp_path):
     assert down.lens == Lens(*SIZE, 160.0, 160.0, 80.0, 60.0, (0.0,) * 4)
 
 
+def test_realityscan_saved_by_a_spreadsheet_is_the_same(tmp_path):
+    """In UTF-16, with semicolons or tabs, and decimal commas where semicolons separate."""
+    root = Capture(tmp_path).form("realityscan")
+    file = root / "parameters.csv"
+    text = file.read_text()
+    wanted = read_photo_set(root)
+    german = text.replace(",", ";").replace(".", ",").replace(",png", ".png")
+    for other, encoding in (
+        (text, "utf-16"),
+        (text, "utf-8-sig"),
+        (text.replace(",", "\t").replace("\t", " \t "), "utf-16"),
+        (text.replace(",", ";"), "utf-8"),
+        (german, "utf-8"),
+    ):
+        file.write_text(other, encoding=encoding)
+        found = read_photo_set(root)
+        for one, same in zip(found.train + found.test, wanted.train + wanted.test, strict=True):
+            assert (one.path, one.lens) == (same.path, same.lens)
+            assert np.array_equal(one.rotation, same.rotation)
+            assert np.array_equal(one.translation, same.translation)
+    file.write_bytes(text.encode("utf-16")[:-1])
+    with pytest.raises(DataError, match="neither UTF-8 nor UTF-16; export the camera parameters"):
+        read_photo_set(root)
+    file.write_text(text + "x" * 200_000)
+    with pytest.raises(DataError, match="field larger than field limit .*; export the camera"):
+        read_photo_set(root)
+
+
 def test_other_tables_and_documents_are_no_cameras(tmp_path):
     root = Capture(tmp_path).form("colmap")
     shutil.rmtree(root / "sparse")
