@@ -1,13 +1,15 @@
 """Find the pose of one camera by gradients: python examples/refine_pose.py [SPLATS.ply].
 
 A picture is drawn of splats, random ones by default. Then the camera is displaced, and moved back
-by the gradient of the difference with respect to its matrix.
+by the gradient of the difference with respect to its matrix. ``--picture FILE.png``: how far the
+pictures are from the first one before and after.
 """
 
 import argparse
 
 import numpy as np
 import torch
+from PIL import Image
 
 import clgs
 import clgs.torch as gsplat
@@ -56,6 +58,7 @@ def main(arguments: list[str] | None = None) -> float:
     parser.add_argument("splats", nargs="?")
     parser.add_argument("--steps", type=int, default=150)
     parser.add_argument("--size", type=int, default=128)
+    parser.add_argument("--picture")
     given = parser.parse_args(arguments)
     splats = read_splats(given.splats) if given.splats else random_splats()
     size = given.size
@@ -83,6 +86,10 @@ def main(arguments: list[str] | None = None) -> float:
         error = (viewmat - true).norm().item()
         if step % 25 == 0 or step == given.steps - 1:
             print(f"step {step}: L1 {loss.item():.5f}, error of the matrix {error:.5f}")
+    if given.picture:
+        off = [(draw(each).detach() - photo).abs() for each in (begin, viewmat)]
+        shown = torch.cat([photo, *off], dim=2)[0].clamp(0, 1) * 255
+        Image.fromarray(shown.numpy().astype(np.uint8)).save(given.picture)
     return error
 
 

@@ -33,10 +33,13 @@ def test_an_image_is_fitted(tmp_path, capsys):
     assert Image.open(tmp_path / "out.png").size == (64, 48)
 
 
-def test_a_pose_is_refined(capsys):
-    error = run("refine_pose.py", "--steps", 80, "--size", 64)
+def test_a_pose_is_refined(tmp_path, capsys):
+    file = tmp_path / "poses.png"
+    error = run("refine_pose.py", "--steps", 80, "--size", 64, "--picture", file)
     first = float(capsys.readouterr().out.splitlines()[0].split()[-1])
     assert error < first / 4
+    _, before, after = np.split(np.asarray(Image.open(file), float), 3, axis=1)
+    assert after.mean() < before.mean() / 4
 
 
 def test_splats_are_trained_and_resumed(tmp_path, capsys):

@@ -144,7 +144,7 @@ def test_realityscan_looks_where_heading_pitch_and_roll_say(tmp_path):
 
 
 def test_realityscan_saved_by_a_spreadsheet_is_the_same(tmp_path):
-    """In UTF-16, with semicolons or tabs, and decimal commas where semicolons separate."""
+    """UTF-16; semicolons or tabs; decimal commas if semicolons separate."""
     root = Capture(tmp_path).form("realityscan")
     file = root / "parameters.csv"
     text = file.read_text()
@@ -167,7 +167,7 @@ def test_realityscan_saved_by_a_spreadsheet_is_the_same(tmp_path):
     with pytest.raises(DataError, match="neither UTF-8 nor UTF-16; export the camera parameters"):
         read_photo_set(root)
     file.write_text(text + "x" * 200_000)
-    with pytest.raises(DataError, match="field larger than field limit .*; export the camera"):
+    with pytest.raises(DataError, match=r"field larger than field limit .*; export the camera"):
         read_photo_set(root)
 
 
