@@ -59,7 +59,7 @@ def main(arguments: list[str] | None = None) -> None:
     photo = Image.open(given.photo).convert("RGB")
     photo.thumbnail((400, 400))
     image = torch.tensor(np.asarray(photo, np.float32) / 255)
-    picture = fit(image, given.gaussians, given.steps)
+    picture = fit(image, given.gaussians, max(given.steps, 1))
     Image.fromarray((picture.clamp(0, 1).numpy() * 255).astype(np.uint8)).save(given.output)
 
 

@@ -61,7 +61,7 @@ def main(arguments: list[str] | None = None) -> float:
     parser.add_argument("--picture")
     given = parser.parse_args(arguments)
     splats = read_splats(given.splats) if given.splats else random_splats()
-    size = given.size
+    size, steps = given.size, max(given.steps, 1)
     intrinsics = torch.tensor([[[1.2 * size, 0, size / 2], [0, 1.2 * size, size / 2], [0, 0, 1]]])
 
     def draw(viewmat: torch.Tensor) -> torch.Tensor:
@@ -75,8 +75,8 @@ def main(arguments: list[str] | None = None) -> float:
     begin = turned(true, torch.tensor([0.02, -0.03, 0.02, 0.05, 0.04, -0.05]))
     twist = torch.zeros(6, requires_grad=True)
     optimizer = torch.optim.Adam([twist], lr=3e-3)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, given.steps)
-    for step in range(given.steps):
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
+    for step in range(steps):
         viewmat = turned(begin, twist)
         loss = (draw(viewmat) - photo).abs().mean()
         optimizer.zero_grad()
@@ -84,7 +84,7 @@ def main(arguments: list[str] | None = None) -> float:
         optimizer.step()
         schedule.step()
         error = (viewmat - true).norm().item()
-        if step % 25 == 0 or step == given.steps - 1:
+        if step % 25 == 0 or step == steps - 1:
             print(f"step {step}: L1 {loss.item():.5f}, error of the matrix {error:.5f}")
     if given.picture:
         off = [(draw(each).detach() - photo).abs() for each in (begin, viewmat)]

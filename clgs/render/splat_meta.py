@@ -6,7 +6,8 @@ for.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, MutableMapping
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from functools import cache
 from typing import Any
 
@@ -48,6 +49,17 @@ class Meta(MutableMapping[str, Any]):
 
     def __len__(self) -> int:
         return len(self._known | self._makers)
+
+    def copy(self) -> dict[str, Any]:
+        """A dictionary of all arrays."""
+        return dict(self)
+
+    def __or__(self, other: Mapping[str, Any]) -> dict[str, Any]:
+        return {**self, **other}
+
+    def __reduce__(self) -> tuple[type, tuple[dict[str, Any]]]:
+        # What makes arrays cannot be stored; torch.load takes this type from anybody's file.
+        return OrderedDict, (dict(self),)
 
 
 def meta_of(

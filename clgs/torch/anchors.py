@@ -168,9 +168,8 @@ class Decode(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
 
     @staticmethod
     @once
-    def backward(ctx: Any, *d: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Any, saved: tuple[Tensor, ...], *d: Tensor) -> tuple[Tensor | None, ...]:
         """Gradients by offset, feature, scaling and weights."""
-        _ = ctx.saved_tensors  # asks whether they changed
         made = ctx.found.backward(*(host_of(one) for one in d[:5]))
         names = "offset", "feature", "scaling", "weights"
         return None, None, None, None, *(torch.from_numpy(made[name]) for name in names)
@@ -210,9 +209,9 @@ class Rate(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
 
     @staticmethod
     @once
-    def backward(ctx: Any, *d: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Any, saved: tuple[Tensor, ...], *d: Tensor) -> tuple[Tensor | None, ...]:
         """The gradient by x."""
-        device, host = default_device(), host_of(ctx.saved_tensors[0])
+        device, host = default_device(), host_of(saved[0])
         slopes = rate_op.slopes(device, ctx.rate, float(d[0]))
         shared, d_x = device.share(host), device.zeros(host.shape)
         rate_op.backward(device, [(slopes, shared, d_x)])

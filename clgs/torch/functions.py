@@ -30,26 +30,31 @@ from clgs.torch.tensors import (
 
 
 def once(backward: Callable[..., Any]) -> Callable[..., Any]:
-    """A backward pass in float32 whose own derivatives are refused, not taken for zeros."""
+    """A backward pass in float32 whose own derivatives are refused, not taken for zeros.
+
+    ``backward`` receives the context, the saved tensors, and the gradients.
+    """
 
     @wraps(backward)
     def checked(ctx: Any, *d: Tensor | None) -> Any:
+        saved = ctx.saved_tensors  # asks whether they changed; checkpoints let it be read once
         with torch.no_grad(), torch.autocast("cpu", enabled=False):
-            found = backward(ctx, *d)
+            found = backward(ctx, saved, *d)
         if not torch.is_grad_enabled():
             return found
-        return Refuse.apply(torch.zeros((), device="cpu", requires_grad=True), *found)
+        sources = [one for one in (*saved, *d) if one is not None and one.requires_grad]
+        return Refuse.apply(len(sources), *sources, *found)
 
     return checked
 
 
 class Refuse(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
-    """Gradients as they are, which depend on the first tensor; they have no gradient."""
+    """Gradients as they are, which depend on the first ``count`` tensors; they have no gradient."""
 
     @staticmethod
-    def forward(ctx: Any, _: Tensor, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
+    def forward(ctx: Any, count: int, *tensors: Tensor | None) -> tuple[Tensor | None, ...]:
         """Copy, so that they may be changed in place."""
-        return tuple(None if one is None else one.clone() for one in gradients)
+        return tuple(None if one is None else one.clone() for one in tensors[count:])
 
     @staticmethod
     def backward(ctx: Any, *d: Tensor) -> tuple[Tensor | None, ...]:
@@ -126,10 +131,11 @@ class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
 
     @staticmethod
     @once
-    def backward(ctx: Any, *d: Tensor | None) -> tuple[Tensor | None, ...]:
+    def backward(
+        ctx: Any, saved: tuple[Tensor, ...], *d: Tensor | None
+    ) -> tuple[Tensor | None, ...]:
         """Gradients by the Gaussians and the cameras."""
         call, device = ctx.call, ctx.call.device
-        assert ctx.saved_tensors  # PyTorch sees that none was changed
         sizes, begun = call.extents.shape[:3], call.take_begun(d[:4])
         by_screen = [None if one is None or begun else host_of(one) for one in d[:4]]
         if by_screen[0] is not None:
@@ -222,10 +228,12 @@ class Blend(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
 
     @staticmethod
     @once
-    def backward(ctx: Any, *d: Tensor | None) -> tuple[Tensor | None, ...]:
+    def backward(
+        ctx: Any, saved: tuple[Tensor, ...], *d: Tensor | None
+    ) -> tuple[Tensor | None, ...]:
         """Gradients by all that lies on the screen, colors and backgrounds."""
         call, device = ctx.call, ctx.call.device
-        before, whitening, _, _, _, colors, _ = ctx.saved_tensors
+        before, whitening, _, _, _, colors, _ = saved
         # in NumPy: threads of PyTorch would take those of the device
         d_image = None if d[0] is None else host_of(d[0])
         d_left = None if d[1] is None else np.negative(host_of(d[1]))[..., 0]
@@ -288,10 +296,10 @@ class Harmonics(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
 
     @staticmethod
     @once
-    def backward(ctx: Any, *d: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Any, saved: tuple[Tensor, ...], *d: Tensor) -> tuple[Tensor | None, ...]:
         """Gradients by directions and coefficients."""
         device = default_device()
-        tensors = (*ctx.saved_tensors, d[0])
+        tensors = (*saved, d[0])
         dirs, coeffs, color, d_color = (device.share(host_of(one)) for one in tensors)
         camera = device.zeros((26,))
         d_sh, d_dirs = harmonics.backward(

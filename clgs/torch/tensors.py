@@ -129,7 +129,8 @@ def checked(name: str, tensor: Any) -> npt.NDArray[Any] | None:
         return host_of(tensor)
     except (TypeError, RuntimeError) as error:
         what = f"{tensor.dtype}, {tensor.layout}, shape {tuple(tensor.shape)}"
-        raise TypeError(f"{name}: {what}: NumPy cannot read it: {error}") from None
+        remedy = "give a dense float32 tensor"
+        raise TypeError(f"{name}: {what}: NumPy cannot read it; {remedy}: {error}") from None
 
 
 def needed(name: str, tensor: Any) -> Tensor:

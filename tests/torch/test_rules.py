@@ -125,6 +125,44 @@ def test_second_derivatives_are_refused(rng, loss):
             slope.sum().backward()
 
 
+def test_second_derivatives_by_one_input_are_refused_too(rng):
+    """PyTorch leaves out what no path leads from to the inputs that are asked for."""
+    given = leaves(rng)
+    image = ours.rasterization(**given)[0]
+    (slope,) = torch.autograd.grad(image.square().sum(), given["means"], create_graph=True)
+    for name in ("means", "colors"):
+        with pytest.raises(NotImplementedError, match="second derivatives are not offered"):
+            torch.autograd.grad(slope.sum(), given[name], retain_graph=True)
+    x = torch.randn(9, 3, requires_grad=True)
+    with pytest.raises(NotImplementedError, match="second derivatives are not offered"):
+        torch.autograd.functional.hvp(lambda one: ours.rate(one, 4.0), x, torch.ones(9, 3))
+
+
+def test_first_derivatives_through_a_checkpoint_may_keep_their_graph(rng):
+    given = leaves(rng)
+    names, values = zip(*given.items(), strict=True)
+
+    def draw(*tensors):
+        return ours.rasterization(**dict(zip(names, tensors, strict=True)))[0]
+
+    image = torch.utils.checkpoint.checkpoint(draw, *values, use_reentrant=False)
+    (slope,) = torch.autograd.grad(image.sum(), given["means"], create_graph=True)
+    (wanted,) = torch.autograd.grad(draw(*values).sum(), given["means"])
+    assert torch.equal(slope, wanted)
+
+
+def test_meta_is_stored_as_a_dictionary(rng, tmp_path):
+    given = {name: one.detach() for name, one in leaves(rng).items() if torch.is_tensor(one)}
+    rest = {name: one for name, one in leaves(rng).items() if not torch.is_tensor(one)}
+    meta = ours.rasterization(**given, **rest)[2]
+    torch.save(meta, tmp_path / "meta.pt")
+    stored = torch.load(tmp_path / "meta.pt", weights_only=True)
+    for found in (stored, meta.copy(), meta | {}):
+        assert isinstance(found, dict)
+        assert list(found) == list(meta)
+        assert torch.equal(found["radii"], meta["radii"])
+
+
 def test_the_backward_pass_ignores_autocast(rng):
     given = leaves(rng)
     found = []
