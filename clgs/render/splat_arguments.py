@@ -181,12 +181,12 @@ class SplatArguments:
         """
         colors = self.colors[:, 0] if self.shared_colors else self.colors
         _check_finite("means", self.means, self.batch)
-        _check_finite("opacities", self.opacities, self.batch)
         _check_finite("colors", colors, self.batch)
         if self.scales is not None:
             _check_finite("scales", self.scales, self.batch)
         opacities, quats = self.opacities, self.quats
         if opacities.size and not (opacities.min() >= 0 and opacities.max() <= UNIT_OPACITY):
+            _check_finite("opacities", opacities, self.batch)
             shape = *self.batch, *opacities.shape[1:]
             raise ValueError(f"opacities: {shape} has numbers outside of 0 to 1")
         if quats is not None:
@@ -329,11 +329,15 @@ def _fit_colors(
 
 
 def _check_cameras(viewmats: npt.NDArray[np.float64], intrinsics: npt.NDArray[np.float64]) -> None:
-    if not (viewmats[..., 3, :] == [0, 0, 0, 1]).all():
-        raise ValueError("viewmats: the last row of a matrix is not 0, 0, 0, 1")
-    if viewmats.size and not np.abs(np.linalg.det(viewmats[..., :3, :3])).min() > 1e-12:
-        raise ValueError("viewmats: a matrix has no inverse")
-    if not (np.diagonal(intrinsics, axis1=-2, axis2=-1)[..., :2] > 0).all():
-        raise ValueError("Ks: a focal length is not above 0")
-    if (intrinsics[..., [0, 1], [1, 0]] != 0).any():
-        raise ValueError("Ks: a matrix has skew, which no camera here has")
+    for matrix in viewmats.reshape(-1, 4, 4):
+        *rows, last = matrix.tolist()
+        if last != [0, 0, 0, 1]:
+            raise ValueError("viewmats: the last row of a matrix is not 0, 0, 0, 1")
+        (a, b, c, _), (d, e, f, _), (g, h, i, _) = rows
+        if not abs(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)) > 1e-12:
+            raise ValueError("viewmats: a matrix has no inverse")
+    for (fx, skew, _), (lean, fy, _), _ in intrinsics.reshape(-1, 3, 3).tolist():
+        if not (fx > 0 and fy > 0):
+            raise ValueError("Ks: a focal length is not above 0")
+        if skew or lean:
+            raise ValueError("Ks: a matrix has skew, which no camera here has")

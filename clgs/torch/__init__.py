@@ -32,7 +32,7 @@ from clgs.torch.functions import Blend, Harmonics, Project
 from clgs.torch.pixels import isect_offset_encode as isect_offset_encode
 from clgs.torch.pixels import isect_tiles as isect_tiles
 from clgs.torch.pixels import rasterize_to_pixels as rasterize_to_pixels
-from clgs.torch.projection import SIGNATURE, checked_call, conics_of
+from clgs.torch.projection import bound_arguments, checked_call, conics_of
 from clgs.torch.projection import fully_fused_projection as fully_fused_projection
 from clgs.torch.tensors import (
     BlendCall,
@@ -105,70 +105,59 @@ def rasterization(*arguments: Any, **others: Any) -> tuple[Tensor, Tensor, Meta]
         NotImplementedError: an argument asks for what is not offered; names it.
         TypeError, ValueError: an argument cannot be used; names it and its shape or device.
     """
-    bound = SIGNATURE.bind(*arguments, **others)
-    bound.apply_defaults()
     given = {
         name: value.item() if isinstance(value, Tensor) and not value.ndim else value
-        for name, value in bound.arguments.items()
+        for name, value in bound_arguments(*arguments, **others).items()
     }
     render_mode = given["render_mode"]
-    call, flat = checked_call(given)
+    call, tensors = checked_call(given)
     batch, (b, c) = call.given.batch, call.given.viewmats.shape[:2]
     shade = given["means"].new_zeros(call.given.backgrounds.shape)
     if given["backgrounds"] is not None and "RGB" in render_mode:
         own = given["backgrounds"].reshape(b, c, given["backgrounds"].shape[-1])
         shade = torch.cat([own, shade[..., own.shape[-1] :]], dim=-1)
     how = call.options, render_mode != "RGB", given["alpha_max"], given["absgrad"]
-    blend = BlendCall(call.device, call.size, *how, call.given.backgrounds, seen=call)
+    pictures = *batch, c
+    blend = BlendCall(call.device, call.size, *how, call.given.backgrounds, pictures, seen=call)
     painted, recorded = [], torch.is_grad_enabled()
 
     def begin(found: list[Projected]) -> None:
         """Begin to draw, within the projection: its gradients are added after the colors'."""
         with torch.set_grad_enabled(recorded):
-            own = given["colors"], flat[5], given["sh_degree"]
-            painted.append(_colors(call, flat[0], *own, render_mode))
-        blend.colors = host_of(painted[0])
+            painted.append(_colors(call, given))
+        usual = painted[0] is given["colors"]
+        blend.colors = call.given.colors if usual else host_of(painted[0])
         for (batch, number), one in zip(product(range(b), range(c)), found, strict=True):
             blend.draw(batch, number, one)
 
-    centres, whitening, depths, left, extents = Project.apply(call, begin, *flat)
-    means2d = centres if call.packed else centres.reshape(*batch, *centres.shape[1:])
+    means2d, whitening, depths, left, extents = Project.apply(call, begin, *tensors)
     blend.centres = weakref.ref(means2d)
     meta = _meta(call, blend, means2d, depths, whitening, left)
     image, alphas = Blend.apply(blend, means2d, whitening, depths, left, extents, *painted, shade)
     if "ED" in render_mode:
         divisor = alphas.clamp(min=SMALLEST_ALPHA)
         image = torch.cat([image[..., :-1], image[..., -1:] / divisor], dim=-1)
-    return image.reshape(*batch, *image.shape[1:]), alphas.reshape(*batch, *alphas.shape[1:]), meta
+    return image, alphas, meta
 
 
-def _colors(
-    call: ViewsCall,
-    means: Tensor | None,
-    colors: Tensor,
-    viewmats: Tensor | None,
-    sh_degree: int | None,
-    render_mode: str,
-) -> Tensor:
-    """What is blended, (B, 1 or C, N, D): the colors, those of the harmonics, or nothing."""
-    given = call.given
-    stored = colors.reshape(given.colors.shape)
-    if "RGB" not in render_mode:
-        return stored.new_zeros(*stored.shape[:3], 0)
-    if sh_degree is None:
-        return stored
-    assert means is not None
-    assert viewmats is not None
-    centre = torch.linalg.inv(viewmats.to(torch.float32))[..., :3, 3]
+def _colors(call: ViewsCall, given: dict[str, Any]) -> Tensor:
+    """What is blended: the colors as given, or (B, 1 or C, N, D), harmonics' or none."""
+    colors: Tensor = given["colors"]
+    stored, flat = call.given.colors.shape, call.given.viewmats.shape
+    if "RGB" not in given["render_mode"]:
+        return colors.new_zeros(*stored[:3], 0)
+    if given["sh_degree"] is None:
+        return colors
+    centre = torch.linalg.inv(given["viewmats"].reshape(flat).to(torch.float32))[..., :3, 3]
+    means, sh = given["means"].reshape(call.given.means.shape), colors.reshape(stored)
     seen = [
         Harmonics.apply(
-            sh_degree, means[batch] - centre[batch, number], stored[batch, number % stored.shape[1]]
+            given["sh_degree"], means[batch] - centre[batch, number], sh[batch, number % stored[1]]
         )
-        for batch, number in product(*map(range, given.viewmats.shape[:2]))
+        for batch, number in product(*map(range, flat[:2]))
     ]
-    every = torch.stack(seen) if seen else stored.new_zeros(0, stored.shape[2], 3)
-    shape = (*given.viewmats.shape[:2], stored.shape[2], 3)
-    return torch.clamp_min(every.reshape(shape) + 0.5, 0.0)
+    every = torch.stack(seen) if seen else colors.new_zeros(0, stored[2], 3)
+    return torch.clamp_min(every.reshape(*flat[:2], stored[2], 3) + 0.5, 0.0)
 
 
 def _meta(

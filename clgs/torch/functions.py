@@ -25,6 +25,7 @@ from clgs.torch.tensors import (
     host_of,
     packed_rows,
     stacked,
+    tensor_like,
     unpacked_rows,
 )
 
@@ -67,7 +68,8 @@ class Refuse(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
 class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
     """Gaussians to centres, whitening factors, depths, opacities and extents, (B, C, N, ...).
 
-    Centres are those of what is drawn alone, (M, 2), if the call is packed.
+    Centres are those of what is drawn alone, (M, 2), if the call is packed, else (..., C, N, 2).
+    Tensors are those of the caller, (..., N, ...): a view would cost a node of autograd.
     """
 
     @staticmethod
@@ -119,7 +121,10 @@ class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         call.centres, call.extents = results[0], results[4]
         if call.packed:
             call.rows = np.flatnonzero(call.extents.view(np.int64) != 0)  # of pairs: faster
-        results[0] = packed_rows(call.rows, call.centres)
+        if call.rows is None:
+            results[0] = call.centres.reshape(*given.batch, *call.centres.shape[1:])
+        else:
+            results[0] = packed_rows(call.rows, call.centres)
         results = [torch.from_numpy(one) for one in results]
         ctx.call, ctx.by_covariance = call, covars is not None
         call.want_camera = ctx.needs_input_grad[7]
@@ -166,32 +171,31 @@ class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
                     sums[name][batch] += host
                 else:
                     sums.setdefault(name, []).append(host)
-        total = {name: torch.from_numpy(stacked(arrays)) for name, arrays in sums.items()}
-        d_shape = total.get("d_shape")
-        d_covars = None
-        if ctx.by_covariance and d_shape is not None:
-            d_covars = d_shape.new_zeros(*d_shape.shape[:2], 3, 3)
-            d_covars[..., [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]] = d_shape
-            d_shape = None
-        return (
-            None,
-            None,
+        total = {name: stacked(arrays) for name, arrays in sums.items()}
+        d_scales, d_covars = total.get("d_shape"), None
+        if ctx.by_covariance and d_scales is not None:
+            d_covars = np.zeros((*d_scales.shape[:2], 3, 3), np.float32)
+            d_covars[..., [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]] = d_scales
+            d_scales = None
+        d_given = (
             total.get("d_mean"),
             total.get("d_rotation"),
-            d_shape,
+            d_scales,
             d_covars,
             total.get("d_opacity"),
-            torch.from_numpy(d_viewmats) if call.want_camera else None,
+            d_viewmats if call.want_camera else None,
         )
+        like = zip(d_given, saved[2:], strict=True)
+        return None, None, *(None if one is None else tensor_like(one, own) for one, own in like)
 
 
 class Blend(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
-    """Centres and all else of the screen to images (B, C, H, W, X) and alphas (B, C, H, W, 1).
+    """Centres and all else of the screen to images (..., C, H, W, X) and alphas (..., C, H, W, 1).
 
     The projection of the same call has begun to draw them, if there is one.
 
-    centres: (B, C, N, 2), or as the projection of the same call packed them; colors:
-    (B, 1 or C, N, D).
+    centres: (B, C, N, 2), or those of the projection of the same call; colors: (..., N, D), as
+    ``call.colors`` (B, 1 or C, N, D) counts them.
     """
 
     @staticmethod
@@ -222,9 +226,12 @@ class Blend(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         image, left = gather_later(device, made, names, (*sizes, width))().values()
         # the tensors own the memory that the device has
         ctx.save_for_backward(centres, whitening, depths, opacities, extents, colors, backgrounds)
-        ctx.call, ctx.left = call, torch.from_numpy(left)
+        ctx.call, ctx.left = call, left
         ctx.set_materialize_grads(False)
-        return torch.from_numpy(image), torch.from_numpy((1 - left)[..., None])
+        shape = *call.pictures, height, width
+        alphas = (1 - left).reshape(*shape, 1)
+        image = image.reshape(*shape, backgrounds.shape[-1])
+        return torch.from_numpy(image), torch.from_numpy(alphas)
 
     @staticmethod
     @once
@@ -233,10 +240,11 @@ class Blend(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
     ) -> tuple[Tensor | None, ...]:
         """Gradients by all that lies on the screen, colors and backgrounds."""
         call, device = ctx.call, ctx.call.device
-        before, whitening, _, _, _, colors, _ = saved
+        before, whitening, _, _, _, colors, backgrounds = saved
         # in NumPy: threads of PyTorch would take those of the device
-        d_image = None if d[0] is None else host_of(d[0])
-        d_left = None if d[1] is None else np.negative(host_of(d[1]))[..., 0]
+        shape = ctx.left.shape
+        d_image = None if d[0] is None else host_of(d[0]).reshape(*shape, backgrounds.shape[-1])
+        d_left = None if d[1] is None else np.negative(host_of(d[1])).reshape(shape)
         found: list[ChannelGradients] = []
         shared: list[DeviceArray] = []
         for at, (batch, number) in enumerate(product(*map(range, whitening.shape[:2]))):
@@ -266,18 +274,17 @@ class Blend(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
                 absolute = absolute.sum(axis=(0, 1))
             centres.absgrad = torch.from_numpy(absolute.reshape(centres.shape))
         d_colors = made["d_color"]
-        if colors.shape[1] != sizes[1]:
-            d_colors = d_colors.sum(axis=1, keepdims=True)
+        if call.colors.shape[1] != sizes[1]:
+            d_colors = d_colors.sum(axis=1)
         d_backgrounds = None
-        if ctx.needs_input_grad[7] and d[0] is not None:
-            d_backgrounds = torch.einsum("bchwx,bchw->bcx", d[0], ctx.left)
-        d_centres = packed_rows(rows, made["d_mean2d"]).reshape(before.shape)
-        by_depth = made.get("d_depth")
-        by_screen = d_centres, made["d_whitening"], by_depth, made["d_opacity"], None, d_colors
-        tensors = [None if one is None else torch.from_numpy(one) for one in by_screen]
+        if ctx.needs_input_grad[7] and d_image is not None:
+            d_backgrounds = torch.from_numpy(np.einsum("bchwx,bchw->bcx", d_image, ctx.left))
+        d_centres = tensor_like(packed_rows(rows, made["d_mean2d"]), before)
+        others = made["d_whitening"], made.get("d_depth"), made["d_opacity"]
+        by_screen = d_centres, *(None if one is None else torch.from_numpy(one) for one in others)
         if begun is not None:
-            call.seen.expect(begun, tensors[:4])
-        return None, *tensors, d_backgrounds
+            call.seen.expect(begun, list(by_screen))
+        return None, *by_screen, None, tensor_like(d_colors, colors), d_backgrounds
 
 
 class Harmonics(torch.autograd.Function):  # type: ignore[misc]  # torch is Any

@@ -191,11 +191,11 @@ def rasterize_to_pixels(
     lists = _lists(device, size, count, packed, *numbers, shown_tiles)
     shade = centres.new_zeros(*images, channels) if backgrounds is None else backgrounds
     shade, depths = shade.reshape(pictures, 1, channels), centres.new_zeros(pictures, 1, count)
-    how = DEFAULT, False, ALPHA_MAX, absgrad, host_of(shade), host_of(color)
+    how = DEFAULT, False, ALPHA_MAX, absgrad, host_of(shade), images, host_of(color)
     call = BlendCall(device, size, *how, lists=lists)
     call.centres = weakref.ref(means2d)
     image, alphas = Blend.apply(call, centres, factors, depths, shown, centres, color, shade)
-    return image.reshape(*images, *image.shape[2:]), alphas.reshape(*images, *alphas.shape[2:])
+    return image, alphas
 
 
 def _whitening(conics: Tensor) -> tuple[Tensor, Tensor]:

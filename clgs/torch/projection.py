@@ -23,6 +23,13 @@ REACH = 3.33
 NAMES = ("means", "quats", "scales", "opacities", "colors", "viewmats", "Ks", "backgrounds")
 
 
+def bound_arguments(*arguments: Any, **others: Any) -> dict[str, Any]:
+    """All arguments of ``rasterization`` by name; TypeError if they do not fit."""
+    bound = SIGNATURE.bind(*arguments, **others)
+    bound.apply_defaults()
+    return bound.arguments
+
+
 def checked_call(
     given: dict[str, Any], reach: float | None = None
 ) -> tuple[ViewsCall, list[Tensor | None]]:
@@ -30,7 +37,7 @@ def checked_call(
 
     Returns:
         What the call shares, and what :class:`Project` takes last: means, quats, scales,
-        covars, opacities and viewmats as flat batches.
+        covars, opacities and viewmats.
     """
     lens = replace(checked_lens(given), reach=reach)
     by_covariance = given["covars"] is not None
@@ -40,15 +47,9 @@ def checked_call(
     )
     device, size = given["device"] or default_device(), (given["width"], given["height"])
     call = ViewsCall(device, arguments, lens, size, given["options"], given["packed"])
-    b, skipped = arguments.viewmats.shape[0], len(arguments.batch)
-    shapes = ("quats", "scales") if by_covariance else ("covars",)
+    unused = ("quats", "scales") if by_covariance else ("covars",)
     names = ("means", "quats", "scales", "covars", "opacities", "viewmats")
-    flat = [
-        None if given[name] is None or name in shapes
-        else given[name].reshape(b, *given[name].shape[skipped:])
-        for name in names
-    ]  # fmt: skip
-    return call, flat
+    return call, [None if name in unused else given[name] for name in names]
 
 
 def conics_of(whitening: Tensor) -> Tensor:
@@ -113,23 +114,22 @@ def fully_fused_projection(  # noqa: PLR0913  gsplat's arguments
         check_shapes({"covars": (needed("covars", covars), (*batch, 6), torch.float32)})
         covars = covars[..., [0, 1, 2, 1, 3, 4, 2, 4, 5]].unflatten(-1, (3, 3))
     shown = means.new_ones(batch) if opacities is None else needed("opacities", opacities)
-    bound = SIGNATURE.bind(
+    given = bound_arguments(
         means, quats, scales, shown, shown[..., None], viewmats, Ks, width, height,
         near_plane, far_plane, radius_clip, eps2d, packed=packed, sparse_grad=sparse_grad,
         rasterize_mode="antialiased" if calc_compensations else "classic",
         camera_model=camera_model, covars=covars,
     )  # fmt: skip
-    bound.apply_defaults()
-    call, flat = checked_call(bound.arguments, REACH if opacities is None else None)
-    centres, whitening, depths, left, _ = Project.apply(call, None, *flat)
-    batch, shared = call.given.batch, flat[4]
-    if opacities is not None and shared is not None:
-        left = left / shared[:, None].clamp(min=1e-30)
+    call, tensors = checked_call(given, REACH if opacities is None else None)
+    centres, whitening, depths, left, _ = Project.apply(call, None, *tensors)
+    batch = call.given.batch
+    if opacities is not None:
+        left = left / shown.reshape(left.shape[0], 1, left.shape[2]).clamp(min=1e-30)
     radii = torch.from_numpy(call.radii)
     results = [tensor_rows(call.rows, one) for one in (radii, depths, conics_of(whitening), left)]
-    results.insert(1, centres)
     if call.rows is None:
         results = [one.reshape(*batch, *one.shape[1:]) for one in results]
+    results.insert(1, centres)
     compensations = results[4] if calc_compensations else None
     if call.rows is None:
         return *results[:4], compensations

@@ -83,9 +83,9 @@ class ViewsCall:
 class BlendCall:
     """What the blending of one call shares; pictures count batches first.
 
-    colors (B, 1 or C, N, D) and backgrounds (B, C, X); seen: the projection, if it is of the same
-    call; lists: the tile lists of every picture, if they are given; centres: the tensor that
-    receives absolute gradients.
+    colors (B, 1 or C, N, D) and backgrounds (B, C, X); pictures: the axes of the results before
+    their rows; seen: the projection, if it is of the same call; lists: the tile lists of every
+    picture, if they are given; centres: the tensor that receives absolute gradients.
     """
 
     device: Device
@@ -95,6 +95,7 @@ class BlendCall:
     alpha_max: float
     absgrad: bool
     backgrounds: Floats
+    pictures: tuple[int, ...]
     colors: Floats = field(default_factory=lambda: np.empty(0, np.float32))
     seen: ViewsCall | None = None
     lists: list[TileLists] | None = None
@@ -158,6 +159,12 @@ def check_shapes(
 def host_of(tensor: Tensor) -> npt.NDArray[Any]:
     """The tensor's memory as a contiguous array."""
     return np.ascontiguousarray(tensor.detach().resolve_neg().numpy())
+
+
+def tensor_like(array: npt.NDArray[Any], other: Tensor) -> Tensor:
+    """The array's memory as a tensor of the shape of another."""
+    found: Tensor = torch.from_numpy(array.reshape(other.shape))
+    return found
 
 
 def stacked(arrays: list[npt.NDArray[Any]]) -> npt.NDArray[Any]:

@@ -84,13 +84,17 @@ def pack_camera(
     near: float,
 ) -> npt.NDArray[np.float32]:
     """A camera (26,) float32, the layout of ``Camera.pack``, of matrices (4, 4) and (3, 3)."""
-    matrix, focal = np.asarray(viewmat, np.float64), np.diag(intrinsics)[:2].astype(np.float64)
-    centre2d, extent = np.asarray(intrinsics, np.float64)[:2, 2], np.array(size, np.float64)
-    low, high = -FRUSTUM_MARGIN * extent, (1 + FRUSTUM_MARGIN) * extent
-    limits = np.stack([low - centre2d, high - centre2d], 1) / focal[:, None]
-    centre = -np.linalg.solve(matrix[:3, :3], matrix[:3, 3])
-    rest = [focal, centre2d, extent, [near], limits.ravel(), centre]
-    return np.concatenate([matrix[:3, :3].ravel(), matrix[:3, 3], *rest]).astype(np.float32)
+    matrix = np.asarray(viewmat, np.float64)
+    centre = np.linalg.solve(matrix[:3, :3], matrix[:3, 3])
+    (fx, _, cx), (_, fy, cy) = np.asarray(intrinsics, np.float64).tolist()[:2]
+    limits = [
+        (edge - middle) / focal
+        for extent, middle, focal in ((size[0], cx, fx), (size[1], cy, fy))
+        for edge in (-FRUSTUM_MARGIN * extent, (1 + FRUSTUM_MARGIN) * extent)
+    ]
+    rest = fx, fy, cx, cy, *size, near, *limits
+    numbers = *matrix[:3, :3].ravel().tolist(), *matrix[:3, 3].tolist(), *rest, *(-centre).tolist()
+    return np.array(numbers, np.float32)
 
 
 def forward(
