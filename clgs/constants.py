@@ -43,6 +43,9 @@ NEAR_PLANE = 0.2
 ALPHA_CUT = 1.0 / 255.0
 """Pixel-splat pairs with a smaller alpha contribute nothing."""
 
+UNIT_OPACITY = 1.0 + 1e-6
+"""Opacities up to this are 1: sigmoids and products of float32 may round up."""
+
 ALPHA_MAX = 0.99
 """Alpha saturates here; the gradient is zero above."""
 
@@ -71,6 +74,7 @@ def defines() -> dict[str, int | float]:
         "BLUR": BLUR,
         "PIXEL_VARIANCE": PIXEL_VARIANCE,
         "ALPHA_MAX": ALPHA_MAX,
+        "UNIT_OPACITY": UNIT_OPACITY,
         "LOG2_ALPHA_MAX": math.log2(ALPHA_MAX),
         "LOG_SCALE_LIMIT": LOG_SCALE_LIMIT,
     }

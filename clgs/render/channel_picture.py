@@ -83,12 +83,12 @@ def backward(
     device: Device,
     drawn: Drawn,
     d_image: DeviceArray,
-    d_left: DeviceArray,
+    d_left: DeviceArray | None,
     absolute: bool = False,
 ) -> ChannelGradients:
     """Gradients by the projected Gaussians from those of image and transmittance.
 
-    ``d_image`` (H, W, C) and ``d_left`` (H, W), float32; ``absolute``: see
+    ``d_image`` (H, W, C) and ``d_left`` (H, W), float32, or None for zeros; ``absolute``: see
     ``clgs.ops.general.channels``.
     """
     picture, projected = drawn.picture, drawn.projected

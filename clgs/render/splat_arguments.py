@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.arguments import check_type
+from clgs.constants import UNIT_OPACITY
 from clgs.opencl.device import Device
 from clgs.ops.general.views import Lens
 from clgs.options import RenderOptions
@@ -20,7 +21,7 @@ from clgs.options import RenderOptions
 UNDISTORT = "undistort the photos before"
 GLOBAL = "cameras are global; use None"
 DRAW_AGAIN = "draw them as colors of another call"
-LARGEST = float(np.finfo(np.float32).max)
+SMALLEST, LARGEST = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)
 MODELS = "pinhole", "ortho", "fisheye"
 FLAGS = ("packed", "absgrad", "segmented")
 
@@ -145,9 +146,6 @@ RENDER_MODES = ("RGB", "D", "ED", "RGB+D", "RGB+ED")
 ALONG_RAYS = ("d", "Ed", "RGB-d", "RGB-Ed")
 """Modes that only gsplat 1.6 has: distances along rays, for its Gaussians in the world."""
 
-UNIT_OPACITY = 1.0 + 1e-6
-"""Opacities up to this are 1: sigmoids and products of float32 may round up."""
-
 
 @dataclass(frozen=True)
 class SplatArguments:
@@ -173,15 +171,19 @@ class SplatArguments:
     shared_colors: bool
     channels: int
 
+    def check_colors(self) -> None:
+        """ValueError unless all are finite; names argument and shape."""
+        colors = self.colors[:, 0] if self.shared_colors else self.colors
+        _check_finite("colors", colors, self.batch)
+
     def check_values(self) -> None:
         """Check the numbers of the Gaussians, which takes longer than all else.
 
         Raises:
             ValueError: a number cannot be used; names argument and shape.
         """
-        colors = self.colors[:, 0] if self.shared_colors else self.colors
+        self.check_colors()
         _check_finite("means", self.means, self.batch)
-        _check_finite("colors", colors, self.batch)
         if self.scales is not None:
             _check_finite("scales", self.scales, self.batch)
         opacities, quats = self.opacities, self.quats
@@ -192,7 +194,7 @@ class SplatArguments:
         if quats is not None:
             _check_finite("quats", quats, self.batch)
             short = quats[np.abs(quats[..., 0]) < 1e-6]  # the others have a length
-            if not np.einsum("nk,nk->n", short, short).all():
+            if not (np.abs(short) >= SMALLEST).any(axis=1).all():
                 shape = *self.batch, *quats.shape[1:]
                 raise ValueError(f"quats: {shape} has a quaternion of length 0, no rotation")
 

@@ -58,8 +58,9 @@ class Meta(MutableMapping[str, Any]):
         return {**self, **other}
 
     def __reduce__(self) -> tuple[type, tuple[dict[str, Any]]]:
-        # What makes arrays cannot be stored; torch.load takes this type from anybody's file.
-        return OrderedDict, (dict(self),)
+        # What makes arrays cannot be stored, nor can a record, which belongs to a device;
+        # torch.load takes this type from anybody's file.
+        return OrderedDict, ({key: self[key] for key in self if key != "record"},)
 
 
 def meta_of(

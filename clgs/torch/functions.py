@@ -111,13 +111,16 @@ class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         names = {"mean2d": 2, "whitening": 3, "depth": None, "opacity": None, "extent": 2}
         gather = gather_later(device, call.projected, names, sizes)
         try:
-            given.check_values()  # while the device projects, which no number disturbs
+            given.check_colors()
+            if begin is not None:  # the device blends while the host goes on; no number disturbs it
+                begin(call.projected)
+            results = list(gather().values())
+            depths = results[2]
+            if not np.isfinite(np.vdot(depths, depths)):  # a number may be of no use: which?
+                given.check_values()
         except ValueError:
             device.finish()  # it reads memory of the caller
             raise
-        if begin is not None:  # the device blends while the host goes on
-            begin(call.projected)
-        results = list(gather().values())
         call.centres, call.extents = results[0], results[4]
         if call.packed:
             call.rows = np.flatnonzero(call.extents.view(np.int64) != 0)  # of pairs: faster
@@ -221,12 +224,13 @@ class Blend(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         sizes = whitening.shape[0], whitening.shape[1], height
         made = [one.picture for one in call.drawn]
         names = {"image": backgrounds.shape[-1], "transmittance": None}
-        image, left = gather_later(device, made, names, (*sizes, width))().values()
+        gather = gather_later(device, made, names, (*sizes, width))
         # the tensors own the memory that the device has
         ctx.save_for_backward(centres, whitening, depths, opacities, extents, colors, backgrounds)
-        ctx.call, ctx.left = call, left
         ctx.set_materialize_grads(False)
         shape = *call.pictures, height, width
+        image, left = gather().values()
+        ctx.call, ctx.left = call, left
         alphas = (1 - left).reshape(*shape, 1)
         image = image.reshape(*shape, backgrounds.shape[-1])
         return torch.from_numpy(image), torch.from_numpy(alphas)
@@ -244,15 +248,14 @@ class Blend(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         d_image = None if d[0] is None else host_of(d[0]).reshape(*shape, backgrounds.shape[-1])
         d_left = None if d[1] is None else np.negative(host_of(d[1])).reshape(shape)
         found: list[ChannelGradients] = []
-        shared: list[DeviceArray] = []
+        shared: list[DeviceArray | None] = []
         for at, (batch, number) in enumerate(product(*map(range, whitening.shape[:2]))):
             drawn = call.drawn[at]
-            by_image, by_left = (
-                device.zeros(made.shape) if one is None else device.share(one[batch, number])
-                for one, made in (
-                    (d_image, drawn.picture.image),
-                    (d_left, drawn.picture.transmittance),
-                )
+            by_left = None if d_left is None else device.share(d_left[batch, number])
+            by_image = (
+                device.zeros(drawn.picture.image.shape)
+                if d_image is None
+                else device.share(d_image[batch, number])
             )
             shared += by_image, by_left  # alive until the downloads
             found.append(channel_picture.backward(device, drawn, by_image, by_left, call.absgrad))

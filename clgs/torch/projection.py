@@ -17,6 +17,10 @@ from clgs.torch.functions import Project
 from clgs.torch.tensors import ViewsCall, check_shapes, checked, eager, needed, tensor_rows
 
 SIGNATURE = signature(rasterization_of_numpy)
+PARAMETERS = {name: one for name, one in SIGNATURE.parameters.items() if name != "later"}
+BY_ORDER = [name for name, one in PARAMETERS.items() if one.kind is one.POSITIONAL_OR_KEYWORD]
+NEEDED = {name for name, one in PARAMETERS.items() if one.default is one.empty}
+USUAL = {name: one.default for name, one in PARAMETERS.items()} | {"later": {}}
 REACH = 3.33
 """Where gsplat's boxes of Gaussians without opacities end, standard deviations."""
 
@@ -25,6 +29,10 @@ NAMES = ("means", "quats", "scales", "opacities", "colors", "viewmats", "Ks", "b
 
 def bound_arguments(*arguments: Any, **others: Any) -> dict[str, Any]:
     """All arguments of ``rasterization`` by name; TypeError if they do not fit."""
+    found = {**dict(zip(BY_ORDER, arguments, strict=False)), **others}
+    known = NEEDED <= found.keys() <= PARAMETERS.keys()
+    if known and len(found) == len(arguments) + len(others):  # faster than what tells what is wrong
+        return {**USUAL, **found}
     bound = SIGNATURE.bind(*arguments, **others)
     bound.apply_defaults()
     return bound.arguments

@@ -119,13 +119,22 @@ def eager(function: Callable[Given, Result]) -> Callable[Given, Result]:
 
 
 def checked(name: str, tensor: Any) -> npt.NDArray[Any] | None:
-    """The tensor's memory as an array; TypeError or ValueError if it is none of the CPU's."""
+    """The tensor's memory as an array.
+
+    Raises:
+        NotImplementedError: a transform of torch.func stands between.
+        TypeError, ValueError: it is no tensor of the CPU.
+    """
     if tensor is None:
         return None
     if not isinstance(tensor, Tensor):
         raise TypeError(f"{name}: is {type(tensor).__name__}; give a tensor")
     if tensor.device.type != "cpu":
         raise ValueError(f"{name}: is on {tensor.device}; tensors lie on the CPU: .cpu()")
+    if torch._C._functorch.is_functorch_wrapped_tensor(tensor):
+        raise NotImplementedError(
+            f"{name}: torch.func's transforms are not offered; use torch.autograd.grad"
+        )
     try:
         return host_of(tensor)
     except (TypeError, RuntimeError) as error:

@@ -58,7 +58,8 @@ static inline void store_row(fv part[SUM_PARTS][MOMENTS], __global float *row)
     }
 }
 
-/* d_left: (height, width), dL/d(transmittance) but for what the background adds to it. */
+/* d_left: (height, width), dL/d(transmittance) but for what the background adds to it; anything if
+ * `with_left` is 0, for zeros. */
 __kernel void channels_backward(__global const float *records, __global const int *gaussian,
                                 __global const int *tile_range, const int first_tile,
                                 __global const float *color, __global const float *depth,
@@ -66,7 +67,8 @@ __kernel void channels_backward(__global const float *records, __global const in
                                 const int width, const int height, const int image_pitch,
                                 __global const float *transmittance,
                                 __global const int *last_contributor, __global const float *d_image,
-                                __global const float *d_left, __global float *rows)
+                                __global const float *d_left, const int with_left,
+                                __global float *rows)
 {
     const int tile = first_tile + (int)get_global_id(0);
     const int columns = tiles_across(width);
@@ -86,7 +88,8 @@ __kernel void channels_backward(__global const float *records, __global const in
         rays->transmittance = load_unit(transmittance, ux, uy, width, height);
         rays->last =
             AS_IV(load_unit((__global const float *)last_contributor, ux, uy, width, height));
-        rays->behind = load_unit(d_left, ux, uy, width, height);
+        rays->behind =
+            with_left ? load_unit(d_left, ux, uy, width, height) : (fv)(0.0f);
         for (int c = 0; c < ALL_CHANNELS; ++c) {
             rays->d[c] = load_channel(d_image, first + c, image_pitch, ux, uy, width, height);
             rays->behind = fma(rays->d[c], (fv)(background[first + c]), rays->behind);

@@ -52,7 +52,8 @@ static inline void write_row(const PixelMoments *m, const float d[ALL_CHANNELS],
     }
 }
 
-/* d_left: (height, width), dL/d(transmittance) but for what the background adds to it. */
+/* d_left: (height, width), dL/d(transmittance) but for what the background adds to it; anything if
+ * `with_left` is 0, for zeros. */
 TILE_GROUP __kernel void
 channels_backward(__global const float *records, __global const int *gaussian,
                   __global const int *tile_range, const int first_tile, __global const float *color,
@@ -60,7 +61,7 @@ channels_backward(__global const float *records, __global const int *gaussian,
                   __global const float *background, const int width, const int height,
                   const int image_pitch, __global const float *transmittance,
                   __global const int *last_contributor, __global const float *d_image,
-                  __global const float *d_left, __global float *rows)
+                  __global const float *d_left, const int with_left, __global float *rows)
 {
     __local float pixels[MOMENT_BATCH * TILE_PIXELS], lanes[MOMENT_BATCH * LANES_PITCH];
     const int tile = first_tile + (int)get_group_id(0), item = (int)get_local_id(0);
@@ -81,7 +82,7 @@ channels_backward(__global const float *records, __global const int *gaussian,
         const size_t at = (size_t)y * (size_t)width + (size_t)x;
         rays.transmittance = transmittance[at];
         rays.last = last_contributor[at];
-        rays.behind = d_left[at];
+        rays.behind = with_left ? d_left[at] : 0.0f;
 #pragma unroll
         for (int c = 0; c < ALL_CHANNELS; ++c) {
             rays.d[c] = d_image[at * (size_t)image_pitch + (size_t)(first + c)];

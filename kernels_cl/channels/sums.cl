@@ -21,10 +21,17 @@ static inline int place_of_sum(const int moment, const int first)
     return moment < MOMENT_CHANNEL ? moment : FIXED_SUMS + first + moment - MOMENT_CHANNEL;
 }
 
-/* Adds the rows of every Gaussian to its sums, (count, sums_pitch); `first`: of the channels. */
+/* Whether a sum holds what was added before: another launch, or one for other channels. */
+static inline bool is_begun(const int moment, const int first, const int fresh)
+{
+    return !fresh || (first > 0 && moment < MOMENT_CHANNEL);
+}
+
+/* Adds the rows of every Gaussian to its sums, (count, sums_pitch); `first`: of the channels;
+ * `fresh`: not 0 if no rows were added before, so that the sums hold nothing yet. */
 __kernel void channels_accumulate(__global const float *rows, __global const int *row_range,
-                                  const int count, const int first, const int sums_pitch,
-                                  __global float *sums)
+                                  const int count, const int first, const int fresh,
+                                  const int sums_pitch, __global float *sums)
 {
     const size_t i = item_from_middle();
     if (i >= (size_t)count)
@@ -35,7 +42,9 @@ __kernel void channels_accumulate(__global const float *rows, __global const int
         float sum[SUMS_AT_ONCE];
 #pragma unroll
         for (int j = 0; j < SUMS_AT_ONCE; ++j)
-            sum[j] = begin + j < MOMENTS ? own[place_of_sum(begin + j, first)] : 0.0f;
+            sum[j] = begin + j < MOMENTS && is_begun(begin + j, first, fresh)
+                         ? own[place_of_sum(begin + j, first)]
+                         : 0.0f;
         for (int k = row_range[i]; k < row_range[i + 1]; ++k)
 #pragma unroll
             for (int j = 0; j < SUMS_AT_ONCE; ++j)

@@ -27,6 +27,9 @@
 #ifndef COMPENSATED
 #define COMPENSATED 0 /* whether opacities make up for the blur */
 #endif
+#ifndef UNIT_OPACITY
+#define UNIT_OPACITY 1.000001f
+#endif
 
 /* VEC Gaussians on the way to the screen; of `p`, what depends on the screen. */
 typedef struct {
@@ -38,6 +41,7 @@ typedef struct {
     fv on_length;
     fv rays[2][3]; /* rows of the Jacobian */
     fv share;      /* of the opacity that is left */
+    fv doubt;      /* 0; NaN if a number is not finite, or a quaternion 0 */
     Projection p;
 } Sight;
 
@@ -71,8 +75,10 @@ static inline OWN_FUNCTION void load_shape(Sight *s, __global const float *shape
 #if BY_COVARIANCE
     (void)rotation;
     fv c[6];
-    for (size_t i = 0; i < 6; ++i)
+    for (size_t i = 0; i < 6; ++i) {
         c[i] = load_number(shape, first, used, 6, i);
+        s->doubt += 0.0f * c[i];
+    }
     const fv zero = (fv)(0.0f);
     const fv xx = root_of(c[0]), yx = ratio_of(c[1], xx), zx = ratio_of(c[2], xx);
     const fv yy = root_of(c[3] - yx * yx), zy = ratio_of(c[4] - zx * yx, yy);
@@ -83,9 +89,15 @@ static inline OWN_FUNCTION void load_shape(Sight *s, __global const float *shape
             s->root[k][i] = columns[k][i];
 #else
     load_rows4(rotation, first, used, s->unit_quat);
+    fv length = (fv)(0.0f);
+    for (int k = 0; k < 4; ++k)
+        length += fabs(s->unit_quat[k]);
+    s->doubt += length > (fv)(0.0f) ? 0.0f * length : (fv)(NAN);
     s->on_length = make_unit(s->unit_quat);
     quaternion_matrix(s->unit_quat, s->turn);
     load_rows3(shape, first, used, s->p.scale);
+    for (int k = 0; k < 3; ++k)
+        s->doubt += 0.0f * s->p.scale[k];
     for (int k = 0; k < 3; ++k)
         for (int i = 0; i < 3; ++i)
             s->root[k][i] = s->turn[i][k] * s->p.scale[k];
@@ -167,6 +179,7 @@ static inline Sight see(__global const float *mean, __global const float *shape,
     Sight s;
     fv position[3];
     load_rows3(mean, first, used, position);
+    s.doubt = 0.0f * position[0] + 0.0f * position[1] + 0.0f * position[2];
     load_shape(&s, shape, rotation, first, used);
     see_point(&s, position, camera);
     see_shape(&s, camera, blur);

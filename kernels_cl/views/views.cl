@@ -21,7 +21,8 @@
 
 /* As project_forward, with a far plane and a smallest radius, and the opacities that are left.
  * Radii are boxes rounded up to pixels; a Gaussian is culled if they miss the image. With a `reach`
- * above 0, boxes end that many standard deviations from the centre, at any opacity. */
+ * above 0, boxes end that many standard deviations from the centre, at any opacity. A depth is NaN
+ * if a number of its Gaussian cannot be used. */
 __kernel void views_forward(__global const float *mean, __global const float *shape,
                             __global const float *rotation, __global const float *opacity,
                             __global const float *camera, const int count, const float blur,
@@ -38,6 +39,7 @@ __kernel void views_forward(__global const float *mean, __global const float *sh
     ProjectedGaussians g;
     fv opaque;
     load_rows1(opacity, first, used, &opaque);
+    const iv usable = (opaque >= (fv)(0.0f)) & (opaque <= (fv)(UNIT_OPACITY));
     opaque *= s.share;
     g.depth = s.p.z;
     for (int axis = 0; axis < 2; ++axis)
@@ -59,6 +61,7 @@ __kernel void views_forward(__global const float *mean, __global const float *sh
     blank(drawn, 2, g.centre);
     blank(drawn, 3, g.factor);
     blank(drawn, 1, &g.depth);
+    g.depth += usable ? s.doubt : (fv)(NAN);
     blank(drawn, 2, g.extent);
     blank(drawn, 1, &opaque);
     const ProjectedArrays out = {mean2d, whitening, depth, extent};

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -86,6 +87,13 @@ def test_batches_are_calls_of_their_own(device, rng):
         gradients = meta["record"].backward(np.ones_like(image))
         for name in (*names[:5], "colors"):
             assert np.array_equal(gradients[name], made[name][batch]), name
+
+
+def test_meta_is_stored_without_its_record(rng):
+    meta = clgs.rasterization(**scene(rng))[2]
+    stored = pickle.loads(pickle.dumps(meta))
+    assert list(stored) == [key for key in meta if key != "record"]
+    assert np.array_equal(stored["radii"], meta["radii"])
 
 
 def test_forms_and_groups_change_no_bit(open_device, rng):

@@ -214,7 +214,7 @@ def test_transforms_of_functions_are_refused(rng):
         return ours.rasterization(**{**given, "means": means})[0].sum()
 
     for transform in (torch.func.grad(draw), lambda means: torch.func.vmap(draw)(means[None])):
-        with pytest.raises(TypeError, match=r"means: .* NumPy cannot read it"):
+        with pytest.raises(NotImplementedError, match=r"means: torch.func's transforms are not"):
             transform(given["means"])
 
 

@@ -143,6 +143,23 @@ def test_what_is_refused(rng, changes, error, match):
         ours.rasterization(**{**tensors(scene(rng)), **changes})
 
 
+@pytest.mark.parametrize(
+    ("count", "others", "match"),
+    [
+        (9, {"width": 5}, "multiple values for argument 'width'"),
+        (8, {}, "missing a required argument: 'height'"),
+        (40, {}, "too many positional arguments"),
+        (9, {"later": {}}, "no argument 'later'"),
+    ],
+)
+def test_arguments_that_do_not_fit(rng, count, others, match):
+    order = ("means", "quats", "scales", "opacities", "colors", "viewmats", "Ks", "width", "height")
+    given = tensors(scene(rng))
+    values = [given[name] for name in order] + [0.01] * 40
+    with pytest.raises(TypeError, match=match):
+        ours.rasterization(*values[:count], **others)
+
+
 def test_tensors_of_one_number_are_numbers(rng):
     given = tensors(scene(rng))
     plain = ours.rasterization(**given, near_plane=0.5)[0]

@@ -11,7 +11,7 @@ Sources: 3DGS (Kerbl et al. 2023); AbsGS (Ye et al. 2024); the whitened moments 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -94,10 +94,11 @@ def empty_picture(
 def gather(
     device: Device, projected: Projected, tiles: TileLists, options: RenderOptions
 ) -> DeviceArray:
-    """Records of the entries of ``tiles``, without colors; see ``clgs.ops.blend``."""
-    count = len(projected.opacity)
-    uncolored = Projected(**{**vars(projected), "color": device.zeros((count, 3))})
-    return blend.gather(device, uncolored, tiles, options)
+    """Records of the entries of ``tiles``; see ``clgs.ops.blend``."""
+    count, colors = projected.color.shape
+    if colors != 3:  # records have room for three, which nobody reads
+        projected = replace(projected, color=device.zeros((count, 3)))
+    return blend.gather(device, projected, tiles, options)
 
 
 def forward(
@@ -129,8 +130,8 @@ def forward(
 
 
 def empty_sums(device: Device, count: int, picture: Picture) -> DeviceArray:
-    """Sums for :func:`accumulate`: zeros."""
-    return device.zeros((count, FIXED_SUMS + len(picture.background)))
+    """Room for the sums of :func:`accumulate`."""
+    return device.empty((count, FIXED_SUMS + len(picture.background)))
 
 
 def accumulate(
@@ -141,11 +142,13 @@ def accumulate(
     picture: Picture,
     rows: tuple[int, int],
     d_image: DeviceArray,
-    d_left: DeviceArray,
+    d_left: DeviceArray | None,
     sums: DeviceArray,
     absolute: bool = False,
 ) -> None:
     """Add to ``sums`` what the entries of ``tiles`` contribute to the gradients.
+
+    The rows of tiles that begin with 0 come first: they set the sums.
 
     Args:
         device: where the arrays live.
@@ -155,7 +158,8 @@ def accumulate(
         picture: as for :func:`forward`.
         rows: as for :func:`forward`.
         d_image: (H, W, C) float32.
-        d_left: (H, W) float32, by the transmittance, without what the background adds.
+        d_left: (H, W) float32, by the transmittance, without what the background adds;
+            None for zeros.
         sums: (N, 8 + C) float32, from :func:`empty_sums`.
         absolute: whether to sum absolute gradients.
 
@@ -166,12 +170,13 @@ def accumulate(
     height, width, channels = picture.image.shape
     shapes = Shapes(H=height, W=width, C=channels)
     shapes.check("d_image", d_image, "H W C", np.float32)
-    shapes.check("d_left", d_left, "H W", np.float32)
+    if d_left is not None:
+        shapes.check("d_left", d_left, "H W", np.float32)
     count, entries = len(projected.opacity), len(tiles.gaussian)
-    nothing = device.zeros((height, width))
     for defines, arguments in _launches(device, projected, tiles, records, picture, rows, CHUNK):
         defines = {**defines, "WITH_ABSOLUTE": int(absolute), "FIXED_SUMS": FIXED_SUMS}
         first = arguments["first"]
+        left = None if first else d_left
         moments = 6 + 2 * absolute + int(defines["CHANNELS"]) + int(defines["WITH_DEPTH"])
         moment_rows = device.empty((entries, round_up(moments, 8)))
         device.run(
@@ -181,7 +186,8 @@ def accumulate(
             transmittance=picture.transmittance,
             last_contributor=picture.last_contributor,
             d_image=d_image,
-            d_left=d_left if first == 0 else nothing,
+            d_left=d_image if left is None else left,
+            with_left=np.int32(left is not None),
             rows=moment_rows,
         )
         device.run(
@@ -191,6 +197,7 @@ def accumulate(
             row_range=tiles.row_range,
             count=np.int32(count),
             first=first,
+            fresh=np.int32(rows[0] == 0),
             sums_pitch=np.int32(FIXED_SUMS + channels),
             sums=sums,
         )

@@ -107,6 +107,9 @@ def forward(
 ) -> Projected:
     """Project N Gaussians; opacities are compensated if the lens says so, 0 if culled.
 
+    A depth is NaN if a number of its Gaussian cannot be used: it is not finite, the quaternion is
+    0, or the opacity is not between 0 and ``UNIT_OPACITY``.
+
     ``camera``: (26,) float32 from :func:`pack_camera`; ``color``: what ``Projected`` will hold.
 
     Raises:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from clgs.constants import ALPHA_CUT
+from clgs.constants import ALPHA_CUT, UNIT_OPACITY
 from clgs.reference.project import (
     Array,
     Projected,
@@ -86,7 +86,7 @@ def forward(
         cov = seen.sharp + lens.blur * np.eye(2)
         xx, xy, yy = cov[:, 0, 0], cov[:, 0, 1], cov[:, 1, 1]
         whitening = np.stack([xx**-0.5, xy / xx, np.sqrt(xx / (xx * yy - xy * xy))], 1)
-        opacity = opacity * _share(seen, lens)
+        given, opacity = opacity, opacity * _share(seen, lens)
         by_alpha, shows = np.sqrt(2 * np.log(opacity / ALPHA_CUT)), opacity >= ALPHA_CUT
         if lens.reach is not None:
             by_alpha, shows = np.full(len(mean), lens.reach), opacity >= 0
@@ -102,11 +102,13 @@ def forward(
     depth = seen.point[:, 2]
     drawn &= (depth >= view.near) & (depth <= lens.far) & shows
     drawn &= np.all(np.isfinite(whitening), axis=1)
+    numbers = np.concatenate([mean, covariance.reshape(-1, 9)], axis=1)
+    usable = np.all(np.isfinite(numbers), axis=1) & (given >= 0) & (given <= UNIT_OPACITY)
     keep = drawn[:, None]
     projected = Projected(
         np.where(keep, mean2d, 0),
         np.where(keep, whitening, 0),
-        np.where(drawn, depth, 0),
+        np.where(usable, np.where(drawn, depth, 0), np.nan),
         np.where(keep, extent, 0),
     )
     return projected, np.where(drawn, opacity, 0)

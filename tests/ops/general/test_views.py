@@ -193,6 +193,40 @@ def test_boxes_of_a_reach_do_not_depend_on_the_opacity(device, rng):
     assert relative_l2(device.download(found.opacity), opacity) < 1e-6
 
 
+@pytest.mark.parametrize("by_covariance", [False, True])
+def test_depths_tell_which_numbers_cannot_be_used(device, rng, by_covariance):
+    """Gaussians before the camera and behind it are marked; no other changes."""
+    count = 16 + 2 * device.lanes + 3
+    values = gaussians(rng, count)
+    values["mean"][1::2, 2] = -9
+    packed = views.pack_camera(*matrices(rng), SIZE, 0.01)
+    camera, none, lens = device.upload(packed), device.empty((count, 0)), views.Lens()
+    clean = views.forward(
+        device, on_device(device, values, by_covariance), camera, lens, none, DEFAULT
+    )
+    wrong = [("mean", np.nan), ("mean", -np.inf), ("scale", np.inf), ("scale", np.nan)]
+    wrong += [("opacity", value) for value in (np.nan, np.inf, -0.001, 1.001)]
+    wrong += [] if by_covariance else [("rotation", np.nan), ("rotation", np.inf)]
+    for at, (name, value) in enumerate(wrong):
+        values[name][at : at + 1].flat[-1] = value
+    if not by_covariance:
+        values["rotation"][len(wrong)] = 0.0
+    values["opacity"][count - 1] = 1.0
+    bad = np.arange(count) < len(wrong) + (not by_covariance)
+    with np.errstate(all="ignore"):
+        splats = on_device(device, values, by_covariance)
+        wide = {name: value.astype(np.float64) for name, value in values.items()}
+        shape = reference.covariances(wide["scale"], wide["rotation"])
+    found = views.forward(device, splats, camera, lens, none, DEFAULT)
+    wanted, _ = reference.forward(wide["mean"], shape, wide["opacity"], packed, reference.Lens())
+    depth = device.download(found.depth)
+    assert np.array_equal(np.isnan(depth), bad)
+    assert np.array_equal(np.isnan(wanted.depth), bad)
+    for name in ("mean2d", "whitening", "depth"):
+        old, new = (device.download(getattr(one, name)) for one in (clean, found))
+        assert np.array_equal(old[~bad][:-1], new[~bad][:-1])
+
+
 def test_flat_covariances_have_gradients(device):
     """A disk and a point: their Cholesky factors have columns of zeros."""
     rows = np.array([[0.01, 0, 0, 0.02, 0, 0], [0, 0, 0, 0, 0, 0]], np.float32)
