@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pyopencl as cl
 
 
 @dataclass(frozen=True)
@@ -15,11 +16,13 @@ class DeviceArray:
     """A C-contiguous array in a device buffer; the memory returns to the pool with the object.
 
     ``buffer`` is what kernels take as argument; an empty array still has a buffer of one element.
+    ``part``: the array of bytes of which it is a part, and the byte where it begins, if it is one.
     """
 
     buffer: Any
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
+    part: tuple[DeviceArray, int] | None = None
 
     @property
     def size(self) -> int:
@@ -36,8 +39,15 @@ class DeviceArray:
 
     def of_type(self, dtype: npt.DTypeLike) -> DeviceArray:
         """The same memory, its bits read as numbers of another dtype of the same size."""
-        return DeviceArray(self.buffer, self.shape, np.dtype(dtype))
+        return replace(self, dtype=np.dtype(dtype))
 
     def first(self, rows: int) -> DeviceArray:
         """The first ``rows``, in the same memory."""
-        return DeviceArray(self.buffer, (rows, *self.shape[1:]), self.dtype)
+        return replace(self, shape=(rows, *self.shape[1:]))
+
+
+def part_of(whole: DeviceArray, begin: int, shape: tuple[int, ...]) -> DeviceArray:
+    """An array of float32 from byte ``begin`` of an array of bytes on, in the same memory."""
+    memory: Any = cl.Buffer.from_int_ptr(whole.buffer.int_ptr, retain=True)  # pools have no regions
+    region = memory.get_sub_region(begin, 4 * max(math.prod(shape), 1))
+    return DeviceArray(region, shape, np.dtype(np.float32), (whole, begin))

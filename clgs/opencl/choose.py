@@ -131,6 +131,8 @@ KINDS = (
     (cl.device_type.ACCELERATOR, "accelerator"),
 )
 
+LANES = ("8", "16")
+
 FORMS = ("cpu", "gpu")
 """The forms of the kernels: vectors and no local memory, or scalars in work-groups."""
 
@@ -205,6 +207,18 @@ def wanted_form() -> str:
         choices = " or ".join(FORMS)
         raise UsageError(f"CLGS_SPECIALISATION={chosen}: is not {choices}; correct or unset it")
     return chosen
+
+
+def wanted_lanes() -> int:
+    """What CLGS_LANES says; 0 if it is not set.
+
+    Raises:
+        UsageError: it is neither 8 nor 16.
+    """
+    chosen = os.environ.get("CLGS_LANES", "")
+    if chosen and chosen not in LANES:
+        raise UsageError(f"CLGS_LANES={chosen}: is not {' or '.join(LANES)}; correct or unset it")
+    return int(chosen or 0)
 
 
 def form_of(device: Any) -> str:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -14,9 +14,9 @@ import pyopencl as cl
 import pyopencl.tools
 
 from clgs.arguments import check_type
-from clgs.errors import DeviceError, NoRoomError, UsageError
+from clgs.errors import DeviceError, NoRoomError
 from clgs.machine import return_unused_memory
-from clgs.opencl.array import DeviceArray
+from clgs.opencl.array import DeviceArray, part_of
 from clgs.opencl.choose import (
     choose_device,
     form_of,
@@ -26,6 +26,7 @@ from clgs.opencl.choose import (
     serves_cpu_form,
     too_small,
     wanted_form,
+    wanted_lanes,
 )
 from clgs.opencl.driver_calls import KernelTimes, Profile, Waits, note_opened, tells_of_loss
 from clgs.opencl.kernel import Argument, Kernel
@@ -34,8 +35,6 @@ from clgs.opencl.transfer import Download, PinnedMemory, Transfers
 
 POOL_BITS = {"cpu": 0, "gpu": 2}
 """Leading bits of a size, after the first one, that tell apart what the memory pool reuses."""
-
-LANES = ("8", "16")
 
 SHARED_ALIGNMENT = 16
 """Bytes: the host's arrays of NumPy and PyTorch that a CPU device can read where they are."""
@@ -80,7 +79,7 @@ class Device:
         self.specialisation = specialisation or wanted_form() or form_of(self.cl_device)
         self.vec = 16 if self.specialisation == "cpu" else 1
         width = int(self.cl_device.native_vector_width_float)
-        self._register_lanes = _wanted_lanes() or min(max(width, 4), 16)
+        self._register_lanes = wanted_lanes() or min(max(width, 4), 16)
         self._largest_array = int(self.cl_device.max_mem_alloc_size)
         self.profile = Profile()
         self.waits = Waits()
@@ -163,6 +162,20 @@ class Device:
         except (cl.Error, MemoryError) as error:
             raise self._no_room(nbytes) from error
 
+    def empty_together(self, **shapes: tuple[int, ...] | None) -> dict[str, Any]:
+        """Uninitialised arrays of float32, by name, that are handed over together; None for None.
+
+        On a CPU they are parts of one array, so that one command hands over all.
+        """
+        wanted = {name: shape for name, shape in shapes.items() if shape is not None}
+        if not self.cl_device.type & cl.device_type.CPU:
+            return {**shapes, **{name: self.empty(shape) for name, shape in wanted.items()}}
+        step = max(self.cl_device.mem_base_addr_align // 8, SHARED_ALIGNMENT)
+        sizes = [round_up(4 * max(math.prod(shape), 1), step) for shape in wanted.values()]
+        whole, begins = self.empty((sum(sizes),), np.uint8), accumulate(sizes, initial=0)
+        pairs = zip(wanted.items(), begins, strict=False)
+        return {**shapes, **{name: part_of(whole, begin, shape) for (name, shape), begin in pairs}}
+
     def _no_room(self, nbytes: int) -> NoRoomError:
         largest, whole = self._largest_array, self.cl_device.global_mem_size
         return NoRoomError(
@@ -191,7 +204,7 @@ class Device:
 
         In the same memory if that has room, which it often has: the pool rounds sizes up.
         """
-        longer = DeviceArray(array.buffer, (rows, *array.shape[1:]), array.dtype)
+        longer = array.first(rows)
         if self.has_room(array, rows):
             return longer
         longer = self.empty(longer.shape, array.dtype)
@@ -379,19 +392,6 @@ class Device:
     def finish(self) -> None:
         """Wait for all enqueued work."""
         self.queue.finish()
-
-
-def check_environment() -> None:
-    """UsageError if CLGS_SPECIALISATION or CLGS_LANES hold what no device takes."""
-    wanted_form(), _wanted_lanes()
-
-
-def _wanted_lanes() -> int:
-    """What CLGS_LANES says; 0 if it is not set."""
-    chosen = os.environ.get("CLGS_LANES", "")
-    if chosen and chosen not in LANES:
-        raise UsageError(f"CLGS_LANES={chosen}: is not {' or '.join(LANES)}; correct or unset it")
-    return int(chosen or 0)
 
 
 def round_up(count: int, multiple: int) -> int:

@@ -166,13 +166,23 @@ class Transfers:
     @tells_of_loss
     def hand_over(self, arrays: Sequence[DeviceArray]) -> Callable[[], list[npt.NDArray[Any]]]:
         """The memory of arrays as arrays of the host; the result waits, once for all."""
-        mapped = [_Mapped(self._queue, array) if array.nbytes else None for array in arrays]
-        last = next((one.event for one in reversed(mapped) if one), None)
+        places = [(one, 0) if one.part is None else one.part for one in arrays if one.nbytes]
+        wholes = {id(whole): whole for whole, _ in places}
+        mapped = {key: _Mapped(self._queue, whole) for key, whole in wholes.items()}
+        last = next((one.event for one in reversed(mapped.values())), None)
+
+        def host_of(array: DeviceArray) -> npt.NDArray[Any]:
+            if not array.nbytes:
+                return np.empty(array.shape, array.dtype)
+            if array.part is None:
+                return np.asarray(mapped[id(array)])
+            whole, start = array.part
+            own = np.asarray(mapped[id(whole)])[start : start + array.nbytes]
+            return own.view(array.dtype).reshape(array.shape)
 
         def wait() -> list[npt.NDArray[Any]]:
             if last is not None:
                 self._waits.wait(last)
-            pairs = zip(mapped, arrays, strict=True)
-            return [np.asarray(one or np.empty(array.shape, array.dtype)) for one, array in pairs]
+            return [host_of(array) for array in arrays]
 
         return wait

@@ -89,3 +89,28 @@ def test_handed_over_memory_goes_back_to_the_pool(device):
 
     before = pictures()
     assert pictures() == before
+
+
+def test_arrays_made_together_are_handed_over_alone_or_with_others(device, rng):
+    """Their memory stays theirs as long as a host's array of one lives."""
+    shapes = {"a": (300, 2), "b": (0, 3), "none": None, "c": (7,), "d": (300,)}
+    made = device.empty_together(**shapes)
+    assert made.pop("none") is None
+    values = {name: rng.normal(size=one.shape).astype(np.float32) for name, one in made.items()}
+    for name, array in made.items():
+        device.write(array, values[name])
+    other = device.upload(np.arange(5, dtype=np.int32))
+    found = device.hand_over_all([made["d"], other, made["b"], made["a"]])
+    assert np.array_equal(found[1], np.arange(5))
+    assert np.array_equal(device.download(made["c"].first(3)), values["c"][:3])
+    assert made["a"].of_type(np.int32).dtype == np.int32
+    found = dict(zip("dba", [found[0], *found[2:]], strict=True)) | {
+        "c": device.hand_over(made.pop("c"))
+    }
+    made.clear()
+    again = device.empty_together(**{name: one for name, one in shapes.items() if one})
+    for array in again.values():
+        device.fill_zero(array)
+    device.finish()
+    for name, array in found.items():
+        assert np.array_equal(array, values[name]), name

@@ -37,10 +37,10 @@ def run(args: argparse.Namespace) -> int:
 
     from clgs.data.dataset import read_photo_set
     from clgs.lab.trials import QUICK, WHOLE, chosen_device, run_trials, trials, write_photos
-    from clgs.opencl.device import check_environment
+    from clgs.opencl.choose import wanted_form, wanted_lanes
     from clgs.workflow.outputs import check_new
 
-    check_environment()
+    wanted_form(), wanted_lanes()  # errors come before the trials
     if args.downscale and args.data is None:
         raise UsageError("--downscale: is of the photos of --data, which is not given")
     check_new(args.output, args.overwrite)

@@ -80,10 +80,10 @@ def empty_picture(
 ) -> Picture:
     """Room for a picture of ``size``, width and height in pixels, with a channel per background."""
     width, height = size
+    pixels = height, width
     return Picture(
-        image=device.empty((height, width, len(background))),
-        transmittance=device.empty((height, width)),
-        last_contributor=device.empty((height, width), np.int32),
+        **device.empty_together(image=(*pixels, len(background)), transmittance=pixels),
+        last_contributor=device.empty(pixels, np.int32),
         background=background,
         with_depth=with_depth,
         alpha_max=alpha_max,
@@ -213,14 +213,15 @@ def finish(
     """Gradients from the sums that :func:`accumulate` made."""
     count, colors = projected.color.shape
     Shapes(N=count, S=FIXED_SUMS + len(picture.background)).check("sums", sums, "N S", np.float32)
-    result = ChannelGradients(
-        d_mean2d=device.empty((count, 2)),
-        d_whitening=device.empty((count, 3)),
-        d_opacity=device.empty((count,)),
-        d_color=device.empty((count, colors)),
-        d_depth=device.empty((count,)) if picture.with_depth else None,
-        d_absolute=device.empty((count, 2)) if absolute else None,
+    made = device.empty_together(
+        d_mean2d=(count, 2),
+        d_whitening=(count, 3),
+        d_opacity=(count,),
+        d_color=(count, colors),
+        d_depth=(count,) if picture.with_depth else None,
+        d_absolute=(count, 2) if absolute else None,
     )
+    result = ChannelGradients(**made)
     unused = device.empty((1,))
     shown = {"WITH_DEPTH": int(picture.with_depth), "WITH_ABSOLUTE": int(absolute)}
     device.run(

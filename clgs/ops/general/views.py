@@ -22,7 +22,7 @@ from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.opencl.grid import by_lanes
 from clgs.ops.general.channels import ChannelGradients
-from clgs.ops.project import Projected, allocate
+from clgs.ops.project import Projected
 from clgs.options import RenderOptions
 from clgs.shapes import Shapes
 
@@ -116,7 +116,10 @@ def forward(
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
     count = _check(splats, camera)
-    result = allocate(device, color, device.empty((count,)))
+    made = device.empty_together(
+        mean2d=(count, 2), whitening=(count, 3), depth=(count,), extent=(count, 2), opacity=(count,)
+    )
+    result = Projected(**made, color=color)
     device.run(
         device.kernel(
             "views/views",
@@ -164,13 +167,14 @@ def backward(
     shapes.check("d_whitening", d_projected.d_whitening, "N 3", np.float32)
     shapes.check("d_opacity", d_projected.d_opacity, "N", np.float32)
     rotation = splats.rotation
-    result = SplatGradients(
-        d_mean=device.empty((count, 3)),
-        d_shape=device.empty(splats.shape.shape),
-        d_rotation=None if rotation is None else device.empty((count, 4)),
-        d_opacity=device.empty((count,)),
-        d_camera=device.empty((3, 4, count)) if want_camera else None,
+    made = device.empty_together(
+        d_mean=(count, 3),
+        d_shape=splats.shape.shape,
+        d_rotation=None if rotation is None else (count, 4),
+        d_opacity=(count,),
     )
+    d_camera = device.empty((3, 4, count)) if want_camera else None
+    result = SplatGradients(**made, d_camera=d_camera)
     unused = device.empty((1,))
     device.run(
         device.kernel("views/views", "views_backward", **_defines(device, splats, lens)),
