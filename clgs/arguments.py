@@ -39,6 +39,12 @@ def check_integer(name: str, value: Any) -> int:
         raise TypeError(f"{name}: {_shown(value)}; an integer is needed") from None
 
 
+def check_range(name: str, value: Any, least: int, most: int) -> None:
+    """Raise UsageError unless ``value`` is within a range, TypeError unless it is an integer."""
+    if not least <= check_integer(name, value) <= most:
+        raise UsageError(f"{name}: {value} is not one of {least} to {most}")
+
+
 def check_choice(name: str, value: object, known: Sequence[str]) -> None:
     """Raise UsageError unless ``value`` is one of ``known``, TypeError unless it is a string."""
     if not isinstance(value, str):

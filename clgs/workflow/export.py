@@ -10,7 +10,7 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 import numpy.typing as npt
 
-from clgs.arguments import as_path
+from clgs.arguments import as_path, check_choice, check_range, check_type
 from clgs.codec import scene_decoder, splat_packing
 from clgs.codec.scene_encoder import encode
 from clgs.data.dataset import load_dataset
@@ -40,7 +40,7 @@ from clgs.workflow.bake import (
     evenly,
 )
 from clgs.workflow.events import Note, OnEvent, counter, ignore
-from clgs.workflow.options import BAKE_STEPS, SH_DEGREES, ViewOptions
+from clgs.workflow.options import BAKE_STEPS, MOST_BAKE_STEPS, SH_DEGREES, UNITS, ViewOptions
 from clgs.workflow.outputs import check_new
 from clgs.workflow.scenes import (
     SPLAT_SUFFIXES,
@@ -158,6 +158,10 @@ def export(
     check_new(output, overwrite)
     photos = None if data is None else as_path("data", data)
     given: dict[str, Any] = {**baking}
+    check_range("sh_degree", sh_degree or 0, SH_DEGREES[0], SH_DEGREES[-1])
+    check_range("steps", given.get("steps") or 0, 0, MOST_BAKE_STEPS)
+    check_choice("units", units or UNITS[0], UNITS)
+    check_type("name", name or "", str, "the title of the page")
     drawn = {"sh_degree": sh_degree, "units": units}
     if suffix != ".html":
         _refuse({"name": name}, "only a page has a title")

@@ -20,8 +20,9 @@ UPS = {
 """Directions by the names x, y, z, -x, -y and -z."""
 
 SH_DEGREES = (0, 1, 2, 3)
-BAKE_STEPS = 500
-"""Steps of refinement after ordinary Gaussians were fitted."""
+UNITS = ("data", "scene")
+BAKE_STEPS, MOST_BAKE_STEPS = 500, 100_000
+"""Steps of refinement after ordinary Gaussians were fitted, and the most of them."""
 
 
 @dataclass(frozen=True)

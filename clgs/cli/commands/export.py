@@ -16,7 +16,7 @@ from clgs.cli.options import (
     named_path,
     whole_number,
 )
-from clgs.workflow.options import BAKE_STEPS, SH_DEGREES
+from clgs.workflow.options import BAKE_STEPS, MOST_BAKE_STEPS, SH_DEGREES, UNITS
 
 if TYPE_CHECKING:
     from clgs.workflow.export import ExportedCameras, ExportedGaussians, ExportedPage
@@ -35,8 +35,6 @@ Write what other programs open; the suffix of FILE says what:
          With --data they are fitted to its photos; without, to renders from
          cameras around the scene, which is worse. Splats (.ply, .spz, .sog)
          are converted. Coordinates are those of the data set."""
-
-MOST_STEPS = 100_000
 
 
 def register(parser: argparse.ArgumentParser) -> None:
@@ -65,13 +63,13 @@ def register(parser: argparse.ArgumentParser) -> None:
     )
     add(
         "--steps",
-        type=whole_number(MOST_STEPS, 0),
+        type=whole_number(MOST_BAKE_STEPS, 0),
         metavar="N",
         help=f"baking: steps of refinement after the fit; 0: none (default: {BAKE_STEPS})",
     )
     add(
         "--units",
-        choices=("data", "scene"),
+        choices=UNITS,
         help="coordinates of the data set, or the scene's own (default: data)",
     )
     add(

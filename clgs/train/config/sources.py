@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from clgs.errors import DataError, UsageError
 from clgs.train.config.option import Option, options_of
@@ -25,6 +25,8 @@ PAPER_RATES = LearningRates(feature=(0.0075, 0.0075), scaling=(0.007, 0.007))
 
 Values = Mapping[str, Any]
 """Checked values by name; those of tables are dotted."""
+
+Settings = TypeVar("Settings", TrainConfig, LearningRates)
 
 
 def preset(name: str) -> TrainConfig:
@@ -86,8 +88,15 @@ def _with(config: TrainConfig, values: Values) -> TrainConfig:
     plain = {name: value for name, value in values.items() if "." not in name}
     for table in {name.split(".")[0] for name in values} - set(plain):
         inner = {name.split(".")[1]: values[name] for name in values if f"{table}." in name}
-        plain[table] = replace(getattr(config, table), **inner)
-    return replace(config, **plain)
+        plain[table] = _replaced(getattr(config, table), inner)
+    return _replaced(config, plain)
+
+
+def _replaced(settings: Settings, values: Values) -> Settings:
+    """``settings`` with ``values``; UsageError if they have no such name."""
+    if unknown := values.keys() - {one.name for one in fields(settings)}:
+        raise UsageError(f"{type(settings).__name__} has no setting {sorted(unknown)[0]!r}")
+    return replace(settings, **values)
 
 
 def from_toml(text: str, name: str = "config.toml") -> TrainConfig:

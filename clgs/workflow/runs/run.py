@@ -6,11 +6,12 @@ import os
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from math import inf
 from numbers import Real
 from pathlib import Path
 from typing import Any
 
-from clgs.arguments import as_path, check_integer, check_type
+from clgs.arguments import MOST, as_path, check_range, check_type
 from clgs.errors import UsageError
 from clgs.exports.camera_path import read_camera_path
 from clgs.files import check_folder, make_folder
@@ -216,14 +217,18 @@ def _with_meaning(photos: Photos, settings: Mapping[str, Any]) -> Photos:
 
 
 def _check_numbers(seconds: float | None, *whole: int | None) -> None:
-    """Raise TypeError for what is no number."""
+    """Raise TypeError for what is no number, UsageError for one that cannot be used."""
     check_type("seconds", seconds or 0.0, Real, "such as 300")
-    for name, value in zip(("steps", "max_size", "seed"), whole, strict=True):
-        check_integer(name, value or 0)
+    if seconds is not None and not 0 < seconds < inf:
+        raise UsageError(f"seconds: {seconds} is not a finite number above 0")
+    for name, value, least in zip(("steps", "max_size", "seed"), whole, (1, 1, 0), strict=True):
+        if value is not None:
+            check_range(name, value, least, MOST - 1)
 
 
 def _check_shown(shown: Presentation) -> None:
     """Raise UsageError, or DataError for a file, if no clip can be made as ``shown`` asks."""
+    check_type("shown", shown, Presentation, "see clgs.workflow.runs.plan")
     if shown.path not in (None, "none"):
         check_path_name("--clip", shown.path)
         if shown.path not in PATHS:
