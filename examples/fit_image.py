@@ -58,6 +58,7 @@ def main(arguments: list[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     photo = Image.open(given.photo).convert("RGB")
     photo.thumbnail((400, 400))
+    Image.new("RGB", photo.size).save(given.output)  # an error comes before the work
     image = torch.tensor(np.asarray(photo, np.float32) / 255)
     picture = fit(image, given.gaussians, max(given.steps, 1))
     Image.fromarray((picture.clamp(0, 1).numpy() * 255).astype(np.uint8)).save(given.output)

@@ -63,7 +63,7 @@ class Origin:
             if apart[:, :3].max() > TOLERANCE or apart[:, 3].max() > TOLERANCE * self.radius:
                 raise DataError(
                     f"{data}: the camera of {view.name} is not the one that the scene was trained "
-                    f"with, so these photos show another scene; name {self.folder} with --data"
+                    f"with, so these photos show another scene; name {self.folder} instead"
                 )
         return bool(met)
 

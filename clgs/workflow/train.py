@@ -28,7 +28,7 @@ from clgs.train.run.session import Progress, Session
 from clgs.train.step.batch import open_devices
 from clgs.workflow.events import Note, OnEvent, TrainingProgress, ignore
 from clgs.workflow.outputs import check_apart
-from clgs.workflow.views import scene_name
+from clgs.workflow.views import check_same_place, scene_name
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,8 @@ def train(
         on_event: receives progress and notes.
 
     Raises:
-        DataError: the data set is missing or damaged, or another process works in ``folder``.
+        DataError: the data set is missing or damaged, or not that of ``start``, or another process
+            works in ``folder``.
         ExistsError: ``folder`` holds a run that is not this one.
         UsageError: ``folder`` cannot be a run folder, or the devices cannot work together.
         BudgetError: the memory budget is too small for some view.
@@ -96,7 +97,9 @@ def train(
     points = folder if start is None else start  # that run has triangulated some already
     dataset = load_for(config, data, points, lambda line: on_event(Note(line)))
     if start is not None:
-        dataset = repose(dataset, finished_settings(start)[0].scene.transform)
+        posed = repose(dataset, finished_settings(start)[0].scene.transform)
+        check_same_place(start, dataset, posed, data, on_event)
+        dataset = posed
     config = config.for_devices(len(devices)).for_dataset(dataset.kind)
     further = "" if start is None else f", from {start} on"
     lead = f"Trained on {data}{further}."

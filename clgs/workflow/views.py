@@ -105,11 +105,11 @@ def load_views(
     )
     posed = repose(dataset, scene.transform)
     if not isinstance(scene, SplatScene):
-        _check_same_place(path, dataset, posed, data, on_event)
+        check_same_place(path, dataset, posed, data, on_event)
     return posed
 
 
-def _check_same_place(
+def check_same_place(
     path: Path, dataset: Dataset, posed: Dataset, data: Path, on_event: OnEvent
 ) -> None:
     """See that ``data`` shows the scene at ``path``; a note if that is not certain."""
@@ -119,14 +119,14 @@ def _check_same_place(
     near = alike(dataset.transform, posed.transform, dataset.radius)
     none = "has none of the photos that the scene was trained with"
     if origin is not None and not near:
-        remedy = f"name {origin.folder} with --data"
+        remedy = f"name {origin.folder} instead"
         raise DataError(f"{data}: {none}, and other cameras; {remedy}")
     if origin is not None:
-        remedy = f"if it shows another scene, name {origin.folder} with --data"
+        remedy = f"if it shows another scene, name {origin.folder} instead"
         on_event(Note(f"{data} {none}; {remedy}"))
     elif not near:
         unlike = "are placed unlike those that the scene was trained with"
-        remedy = "if it shows another scene, name the right one with --data"
+        remedy = "if it shows another scene, name the right one"
         on_event(Note(f"the cameras of {data} {unlike}; {remedy}"))
 
 

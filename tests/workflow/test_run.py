@@ -285,6 +285,10 @@ def test_scores_need_the_photos_of_the_scene(data, finished, tmp_path, capsys):
         path.write_text(json.dumps(document))
     assert cli.main(["eval", str(finished / "run"), "--data", str(wrong)]) == 3
     assert "these photos show another scene" in capsys.readouterr().err
+    further = ["train", str(wrong), "--from", str(finished / "run"), "-o", str(tmp_path / "new")]
+    assert cli.main(further) == 3
+    assert "these photos show another scene" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
 
 
 def test_foreign_folder_is_refused(data, tmp_path, capsys):
