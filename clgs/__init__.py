@@ -56,11 +56,19 @@ __all__ = sorted(_HOMES)  # the list is made from the table above
 
 
 def __getattr__(name: str) -> Any:
-    """Import the module that holds ``name`` on first use (PEP 562)."""
-    if name not in _HOMES:
-        raise AttributeError(f"module 'clgs' has no attribute {name!r}")
+    """Import the module that holds ``name``, or that is called so, on first use (PEP 562)."""
+    missing = AttributeError(f"module 'clgs' has no attribute {name!r}")
+    if name.startswith("_"):
+        raise missing
     _warn_of_order()
-    return getattr(importlib.import_module(_HOMES[name]), name)
+    if name in _HOMES:
+        return getattr(importlib.import_module(_HOMES[name]), name)
+    try:
+        return importlib.import_module(f"clgs.{name}")
+    except ModuleNotFoundError as error:
+        if error.name == f"clgs.{name}":
+            raise missing from None
+        raise  # a package that it needs, such as PyTorch, is not installed
 
 
 def _warn_of_order() -> None:

@@ -124,3 +124,11 @@ def test_the_changelog_has_the_headings_of_keep_a_changelog():
     kinds = set(re.findall(r"^### (.+)$", text, flags=re.M))
     assert kinds <= {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
     assert re.findall(r"^## (.+)$", text, flags=re.M)[0].startswith("[")
+
+
+def test_modules_are_found_by_their_names_when_they_are_asked_for():
+    code = (
+        "import sys, clgs; assert 'clgs.errors' not in sys.modules; clgs.errors.ClgsError\n"
+        "assert not any(hasattr(clgs, name) for name in ('nope', '__main__', '_nope'))"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
