@@ -202,7 +202,7 @@ def _draw(
         device, projected, size, background, with_depth, alpha_max, options
     )
     image = device.download(drawn.picture.image)
-    alpha = 1 - device.download(drawn.picture.transmittance)[..., None]
+    alpha = device.download(drawn.picture.alpha)[..., None]
     if "ED" in record.render_mode:
         image[..., -1:] /= np.maximum(alpha, SMALLEST_ALPHA)
     return View(splats, camera, stored, drawn, image, alpha)

@@ -39,6 +39,8 @@ def once(backward: Callable[..., Any]) -> Callable[..., Any]:
     @wraps(backward)
     def checked(ctx: Any, *d: Tensor | None) -> Any:
         saved = ctx.saved_tensors  # asks whether they changed; checkpoints let it be read once
+        if not torch.is_grad_enabled() and not torch.is_autocast_enabled("cpu"):
+            return backward(ctx, saved, *d)  # usual, and faster so
         with torch.no_grad(), torch.autocast("cpu", enabled=False):
             found = backward(ctx, saved, *d)
         if not torch.is_grad_enabled():
@@ -223,17 +225,16 @@ class Blend(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         width, height = call.size
         sizes = whitening.shape[0], whitening.shape[1], height
         made = [one.picture for one in call.drawn]
-        names = {"image": backgrounds.shape[-1], "transmittance": None}
+        names = {"image": backgrounds.shape[-1], "transmittance": None, "alpha": None}
         gather = gather_later(device, made, names, (*sizes, width))
         # the tensors own the memory that the device has
         ctx.save_for_backward(centres, whitening, depths, opacities, extents, colors, backgrounds)
         ctx.set_materialize_grads(False)
         shape = *call.pictures, height, width
-        image, left = gather().values()
+        image, left, alphas = gather().values()
         ctx.call, ctx.left = call, left
-        alphas = (1 - left).reshape(*shape, 1)
         image = image.reshape(*shape, backgrounds.shape[-1])
-        return torch.from_numpy(image), torch.from_numpy(alphas)
+        return torch.from_numpy(image), torch.from_numpy(alphas.reshape(*shape, 1))
 
     @staticmethod
     @once

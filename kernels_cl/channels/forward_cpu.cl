@@ -27,11 +27,12 @@ static inline void store_channels(const ChannelUnit *unit, __global const float 
                                   const int entries, const int x, const int y, const int width,
                                   const int height, const int first, const int pitch,
                                   __global float *image, __global float *transmittance,
-                                  __global int *last_contributor)
+                                  __global float *alpha, __global int *last_contributor)
 {
     iv last;
     const fv rest = veil_rest(&unit->veil, entries, &last);
     store_unit(rest, transmittance, x, y, width, height);
+    store_unit(1.0f - rest, alpha, x, y, width, height);
     store_unit(AS_FV(last), (__global float *)last_contributor, x, y, width, height);
     for (int c = 0; c < ALL_CHANNELS; ++c) {
         float lane[VEC];
@@ -52,7 +53,7 @@ __kernel void channels_forward(__global const float *records, __global const int
                                const int first, const int pitch, __global const float *background,
                                const int width, const int height, const int image_pitch,
                                __global float *image, __global float *transmittance,
-                               __global int *last_contributor)
+                               __global float *alpha, __global int *last_contributor)
 {
     const int tile = first_tile + (int)get_global_id(0);
     const int columns = tiles_across(width);
@@ -95,5 +96,5 @@ __kernel void channels_forward(__global const float *records, __global const int
     }
     for (int u = 0; u < UNITS; ++u)
         store_channels(&units[u], background, end - begin, x + unit_x(u), y + unit_y(u), width,
-                       height, first, image_pitch, image, transmittance, last_contributor);
+                       height, first, image_pitch, image, transmittance, alpha, last_contributor);
 }

@@ -19,7 +19,7 @@ channels_forward(__global const float *records, __global const int *gaussian,
                  __global const float *depth, const int first, const int pitch,
                  __global const float *background, const int width, const int height,
                  const int image_pitch, __global float *image, __global float *transmittance,
-                 __global int *last_contributor)
+                 __global float *alpha, __global int *last_contributor)
 {
     __local float staged[RECORD_USED * BATCH];
     __local int owner[BATCH];
@@ -76,6 +76,7 @@ channels_forward(__global const float *records, __global const int *gaussian,
         int last;
         const float rest = veil_rest(&veil, end - begin, &last);
         transmittance[at] = rest;
+        alpha[at] = 1.0f - rest;
         last_contributor[at] = last;
         for (int c = 0; c < ALL_CHANNELS; ++c)
             image[at * (size_t)image_pitch + (size_t)(first + c)] =

@@ -39,13 +39,14 @@ FIXED_SUMS = 8
 class Picture:
     """A picture of C channels, and how it is blended.
 
-    image (H, W, C) and transmittance (H, W), float32; last_contributor (H, W) int32, as in
+    image (H, W, C), transmittance (H, W) and 1 minus it, alpha, float32; last_contributor (H, W) int32, as in
     ``clgs.ops.blend``; background (C,) float32; with_depth: whether the last channel is the depth;
     alpha_max: where alpha saturates.
     """
 
     image: DeviceArray
     transmittance: DeviceArray
+    alpha: DeviceArray
     last_contributor: DeviceArray
     background: DeviceArray
     with_depth: bool
@@ -82,7 +83,9 @@ def empty_picture(
     width, height = size
     pixels = height, width
     return Picture(
-        **device.empty_together(image=(*pixels, len(background)), transmittance=pixels),
+        **device.empty_together(
+            image=(*pixels, len(background)), transmittance=pixels, alpha=pixels
+        ),
         last_contributor=device.empty(pixels, np.int32),
         background=background,
         with_depth=with_depth,
@@ -125,6 +128,7 @@ def forward(
             **arguments,
             image=picture.image,
             transmittance=picture.transmittance,
+            alpha=picture.alpha,
             last_contributor=picture.last_contributor,
         )
 
