@@ -39,17 +39,18 @@ class Shapes:
             ValueError: the shape does not fit.
             TypeError: the dtype differs.
         """
-        wanted = _axes_of(spec)
-        if len(array.shape) != len(wanted) or not all(
-            length == (axis if isinstance(axis, int) else self.axes.setdefault(axis, length))
-            for axis, length in zip(wanted, array.shape, strict=True)
-        ):
+        wanted, shape = _axes_of(spec), array.shape
+        fits = len(shape) == len(wanted)
+        for axis, length in zip(wanted, shape, strict=False):  # no generator: it is called often
+            known = axis if isinstance(axis, int) else self.axes.setdefault(axis, length)
+            fits = fits and length == known
+        if not fits:
             bound = ", ".join(f"{a}={self.axes[a]}" for a in wanted if a in self.axes)
             hint = f" with {bound}" if bound else ""
             raise ValueError(
                 f"{name}: shape is {array.shape}, expected ({', '.join(map(str, wanted))}){hint}"
             )
-        if array.dtype != np.dtype(dtype):
+        if array.dtype != dtype:
             raise TypeError(f"{name}: dtype is {array.dtype}, expected {np.dtype(dtype)}")
 
 

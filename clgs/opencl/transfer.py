@@ -166,23 +166,18 @@ class Transfers:
     @tells_of_loss
     def hand_over(self, arrays: Sequence[DeviceArray]) -> Callable[[], list[npt.NDArray[Any]]]:
         """The memory of arrays as arrays of the host; the result waits, once for all."""
-        places = [(one, 0) if one.part is None else one.part for one in arrays if one.nbytes]
-        wholes = {id(whole): whole for whole, _ in places}
+        places = [(one, 0) if one.part is None else one.part for one in arrays]
+        wholes = {id(whole): whole for whole, _ in places if whole.nbytes}
         mapped = {key: _Mapped(self._queue, whole) for key, whole in wholes.items()}
         last = next((one.event for one in reversed(mapped.values())), None)
-
-        def host_of(array: DeviceArray) -> npt.NDArray[Any]:
-            if not array.nbytes:
-                return np.empty(array.shape, array.dtype)
-            if array.part is None:
-                return np.asarray(mapped[id(array)])
-            whole, start = array.part
-            own = np.asarray(mapped[id(whole)])[start : start + array.nbytes]
-            return own.view(array.dtype).reshape(array.shape)
 
         def wait() -> list[npt.NDArray[Any]]:
             if last is not None:
                 self._waits.wait(last)
-            return [host_of(array) for array in arrays]
+            hosts = {key: np.asarray(one) for key, one in mapped.items()}
+            return [
+                np.ndarray(one.shape, one.dtype, hosts.get(id(whole)), begin)  # empty ones: None
+                for one, (whole, begin) in zip(arrays, places, strict=True)
+            ]
 
         return wait

@@ -129,7 +129,7 @@ def checked(name: str, tensor: Any) -> npt.NDArray[Any] | None:
         return None
     if not isinstance(tensor, Tensor):
         raise TypeError(f"{name}: is {type(tensor).__name__}; give a tensor")
-    if tensor.device.type != "cpu":
+    if not tensor.is_cpu:
         raise ValueError(f"{name}: is on {tensor.device}; tensors lie on the CPU: .cpu()")
     if torch._C._functorch.is_functorch_wrapped_tensor(tensor):
         raise NotImplementedError(
@@ -167,7 +167,7 @@ def check_shapes(
 
 def host_of(tensor: Tensor) -> npt.NDArray[Any]:
     """The tensor's memory as a contiguous array."""
-    return np.ascontiguousarray(tensor.detach().resolve_neg().numpy())
+    return np.ascontiguousarray(tensor.numpy(force=True))  # neither gradients nor lazy signs
 
 
 def tensor_like(array: npt.NDArray[Any], other: Tensor) -> Tensor:

@@ -39,9 +39,9 @@ FIXED_SUMS = 8
 class Picture:
     """A picture of C channels, and how it is blended.
 
-    image (H, W, C), transmittance (H, W) and 1 minus it, alpha, float32; last_contributor (H, W) int32, as in
-    ``clgs.ops.blend``; background (C,) float32; with_depth: whether the last channel is the depth;
-    alpha_max: where alpha saturates.
+    image (H, W, C), transmittance (H, W) and 1 minus it, alpha, float32; last_contributor (H, W)
+    int32, as in ``clgs.ops.blend``; background (C,) float32; with_depth: whether the last channel
+    is the depth; alpha_max: where alpha saturates.
     """
 
     image: DeviceArray
