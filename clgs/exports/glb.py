@@ -29,6 +29,8 @@ from clgs.scene.world import to_text
 FRUSTUM_DEPTH = 0.1
 """Length of a frustum in camera radii."""
 
+LARGEST = np.float32(88.7)
+"""The logarithm of the largest scale: that of more is no float32."""
 POINT_COLOR = (128, 128, 128, 255)
 CAMERA_COLORS = {"train": (40, 90, 220, 255), "test": (230, 120, 20, 255)}
 """RGBA."""
@@ -171,7 +173,7 @@ def _attributes(gaussians: HostGaussians) -> dict[str, npt.NDArray[Any]]:
         "POSITION": gaussians.mean,
         "COLOR_0": np.rint(255 * np.clip(color, 0, 1)).astype(np.uint8),
         f"{EXTENSION}:ROTATION": rotation[:, [1, 2, 3, 0]].astype("<f4"),
-        f"{EXTENSION}:SCALE": np.exp(gaussians.log_scale),
+        f"{EXTENSION}:SCALE": np.exp(np.minimum(gaussians.log_scale, LARGEST)),
         f"{EXTENSION}:OPACITY": opacity.astype("<f4"),
     }
     for number in range(gaussians.sh.shape[1]):

@@ -100,6 +100,7 @@ def prepare(
     """
     check_range("seed", seed, 0, MOST - 1)
     check_range("max_size", max_size, 0, MOST - 1)
+    check_range("frames", 1 if frames is None else frames, 1, MOST - 1)
     least = LEAST_PHOTOS if continued is None else 1
     source, output = (
         find_source(as_path("photos", photos), frames, least),

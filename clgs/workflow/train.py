@@ -14,6 +14,7 @@ from clgs.exports.report import REPORT, write_run_report
 from clgs.files import check_folder, write_json
 from clgs.machine import return_freed_memory
 from clgs.opencl.device import Device
+from clgs.scene.scene import QuantizedScene
 from clgs.train.config import TrainConfig
 from clgs.train.run.load import load_for, state_of_run
 from clgs.train.run.run_folder import (
@@ -79,7 +80,8 @@ def train(
         DataError: the data set is missing or damaged, or not that of ``start``, or another process
             works in ``folder``.
         ExistsError: ``folder`` holds a run that is not this one.
-        UsageError: ``folder`` cannot be a run folder, or the devices cannot work together.
+        UsageError: ``folder`` cannot be a run folder, the devices cannot work together, or the box
+            of what learns holds no anchor of ``start``.
         BudgetError: the memory budget is too small for some view.
     """
     return_freed_memory()
@@ -97,7 +99,9 @@ def train(
     points = folder if start is None else start  # that run has triangulated some already
     dataset = load_for(config, data, points, lambda line: on_event(Note(line)))
     if start is not None:
-        posed = repose(dataset, finished_settings(start)[0].scene.transform)
+        scene = finished_settings(start)[0].scene
+        _check_box(config, scene, start)
+        posed = repose(dataset, scene.transform)
         check_same_place(start, dataset, posed, data, on_event)
         dataset = posed
     config = config.for_devices(len(devices)).for_dataset(dataset.kind)
@@ -126,6 +130,15 @@ def train(
         write_json(folder / "profile.json", record)
     write_report()
     return TrainedRun(result, config.steps, times=tuple(rows), saved=tuple(saved))
+
+
+def _check_box(config: TrainConfig, scene: QuantizedScene, start: Path) -> None:
+    """Raise UsageError if only the anchors of a box are to learn, and it holds none."""
+    position = scene.dequantize().anchors.position
+    if config.learning_box is not None and not config.learning_box.holds(position).any():
+        ends = (",".join(f"{x:.3g}" for x in end) for end in (position.min(0), position.max(0)))
+        where = f"which reach from {' to '.join(ends)} in scene units"
+        raise UsageError(f"box: {config.box} holds none of the anchors of {start}, {where}")
 
 
 def read_finished(

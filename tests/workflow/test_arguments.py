@@ -6,6 +6,7 @@ import pytest
 
 import clgs
 from clgs.errors import UsageError
+from clgs.workflow.runs.plan import Presentation
 
 
 @pytest.mark.parametrize(
@@ -19,11 +20,19 @@ from clgs.errors import UsageError
         ("run", {"seconds": -1}, UsageError, "seconds: -1 is not a finite number above 0"),
         ("run", {"seconds": float("nan")}, UsageError, "seconds: nan is not"),
         ("run", {"steps": 0}, UsageError, "steps: 0 is not one of 1 to"),
+        ("run", {"max_size": 3}, UsageError, "max_size: 3 is out of range; give .* at least 16"),
         ("run", {"max_size": 2.5}, TypeError, "max_size: 2.5; an integer"),
         ("run", {"settings": {"nope": 1}}, UsageError, "TrainConfig has no setting 'nope'"),
         ("run", {"settings": {"learning_rates.sh": 1}}, UsageError, "LearningRates has .* 'sh'"),
         ("run", {"shown": "title"}, TypeError, "shown: is str, Presentation is needed"),
+        (
+            "run",
+            {"shown": Presentation(path="none", seconds=3.0)},
+            UsageError,
+            "--clip none: there",
+        ),
         ("prepare", {"seed": "a"}, TypeError, "seed: 'a'; an integer"),
+        ("prepare", {"frames": -3}, UsageError, "frames: -3 is not one of 1 to"),
         ("prepare", {"max_size": -1}, UsageError, "max_size: -1 is not one of 0 to"),
     ],
 )

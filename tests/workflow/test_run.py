@@ -288,6 +288,9 @@ def test_scores_need_the_photos_of_the_scene(data, finished, tmp_path, capsys):
     further = ["train", str(wrong), "--from", str(finished / "run"), "-o", str(tmp_path / "new")]
     assert cli.main(further) == 3
     assert "these photos show another scene" in capsys.readouterr().err
+    further[1:2] = [str(data), "--box=50,50,50,51,51,51"]
+    assert cli.main(further) == 2
+    assert "holds none of the anchors of" in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
 
 

@@ -136,9 +136,12 @@ def _webp(image: Bytes) -> bytes:
 
 
 def make_table(values: Floats) -> Floats:
-    """256 ascending numbers near which all ``values`` lie: means of nearest ones, repeated."""
+    """256 ascending numbers near which all ``values`` lie: means of nearest ones, repeated.
+
+    An entry that no value is nearest to, as most are if one value lies far from all others, parts
+    the values of another entry, where the squares of the errors add up to most.
+    """
     ordered = np.sort(values, axis=None).astype(np.float64)
-    sums = np.concatenate([[0.0], np.cumsum(ordered)])
     share = (np.arange(TABLE_SIZE) + 0.5) / TABLE_SIZE
     # half by rank, half by size: many values, and those far out, get their entries
     by_rank = ordered[(share * len(ordered)).astype(int)]
@@ -146,10 +149,20 @@ def make_table(values: Floats) -> Floats:
     table = np.sort(0.5 * (by_rank + by_size))
     for _ in range(TABLE_ROUNDS):
         bounds = np.searchsorted(ordered, 0.5 * (table[1:] + table[:-1]))
-        first, end = np.r_[0, bounds], np.r_[bounds, len(ordered)]
-        count = end - first
-        table = np.where(count > 0, (sums[end] - sums[first]) / np.maximum(count, 1), table)
-    return np.sort(table).astype(np.float32)
+        first = np.r_[0, bounds]
+        count = np.diff(np.r_[first, len(ordered)])
+        used, idle = np.flatnonzero(count), np.flatnonzero(count == 0)
+        table[used] = np.add.reduceat(ordered, first[used]) / count[used]
+        error = np.square(ordered - np.repeat(table, count))
+        sums = np.zeros(TABLE_SIZE)
+        sums[used] = np.add.reduceat(error, first[used])
+        worst = np.argsort(-sums, kind="stable")[: len(idle)]
+        worst = worst[sums[worst] > 0]
+        spread = np.sqrt(sums[worst] / count[worst])
+        table[idle[: len(worst)]] = table[worst] + spread
+        table[worst] -= spread
+        table.sort()
+    return table.astype(np.float32)
 
 
 def nearest(table: Floats, values: Floats) -> npt.NDArray[np.uint8]:

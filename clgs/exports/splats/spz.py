@@ -60,6 +60,13 @@ def encode_spz(gaussians: HostGaussians, transform: SceneTransform = IDENTITY) -
             "made larger; write .ply, or give --units scene",
             *(100 * small, np.exp(SCALE_LEAST)),
         )
+    color = gaussians.sh[:, 0].astype(np.float64) * COLOR_SCALE + 127.5
+    if count := int(((color < -0.5) | (color > 255.5)).any(axis=1).sum()):
+        _log.warning(
+            "%d Gaussians are brighter or darker than .spz can hold, and are cut; "
+            "write .ply to keep them",
+            count,
+        )
     largest, others = smallest_three(unit_rotation(gaussians.rotation)[:, [1, 2, 3, 0]])  # x y z w
     small = np.rint(others * np.sqrt(2) * ROTATION_STEPS).astype(np.int64)
     words = largest  # two bits, then sign and size of each of the others, 10 bits
@@ -70,10 +77,10 @@ def encode_spz(gaussians: HostGaussians, transform: SceneTransform = IDENTITY) -
     parts = (
         fixed.view(np.uint8).reshape(count, 3, 4)[..., :3],
         _bytes(sigmoid(gaussians.opacity) * 255),
-        _bytes(gaussians.sh[:, 0] * COLOR_SCALE + 127.5),
+        _bytes(color),
         _bytes((log_scale - SCALE_LEAST) * SCALE_STEPS),
         words.astype("<u4"),
-        _bytes(gaussians.sh[:, 1:] * SH_STEPS + SH_STEPS),
+        _bytes(gaussians.sh[:, 1:].astype(np.float64) * SH_STEPS + SH_STEPS),
     )
     head = HEAD.pack(MAGIC, VERSION, count, degree, fraction, flags, 0)
     data = head + b"".join(np.ascontiguousarray(part).tobytes() for part in parts)

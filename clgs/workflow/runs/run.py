@@ -15,7 +15,7 @@ from clgs.arguments import MOST, as_path, check_range, check_type
 from clgs.errors import UsageError
 from clgs.exports.camera_path import read_camera_path
 from clgs.files import check_folder, make_folder
-from clgs.train.config import layered
+from clgs.train.config import TrainConfig, layered, options_of
 from clgs.train.run.run_folder import FolderLock
 from clgs.workflow.events import Note, OnEvent, StageRecord, ignore
 from clgs.workflow.options import PATHS
@@ -224,11 +224,14 @@ def _check_numbers(seconds: float | None, *whole: int | None) -> None:
     for name, value, least in zip(("steps", "max_size", "seed"), whole, (1, 1, 0), strict=True):
         if value is not None:
             check_range(name, value, least, MOST - 1)
+            options_of(TrainConfig)[name].check(value)
 
 
 def _check_shown(shown: Presentation) -> None:
     """Raise UsageError, or DataError for a file, if no clip can be made as ``shown`` asks."""
     check_type("shown", shown, Presentation, "see clgs.workflow.runs.plan")
+    if shown.path == "none" and (shown.seconds or shown.size):
+        raise UsageError("--clip none: there is no clip of a time or a size; leave these out")
     if shown.path not in (None, "none"):
         check_path_name("--clip", shown.path)
         if shown.path not in PATHS:

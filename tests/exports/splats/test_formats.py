@@ -83,6 +83,17 @@ def test_spz_tells_of_sizes_that_it_cannot_hold(caplog):
     assert "% of the Gaussians are smaller than the 5e-05 units that .spz can hold" in caplog.text
 
 
+def test_numbers_that_a_format_cannot_hold_are_cut_without_numpy_saying_so(caplog, recwarn):
+    whole = gaussians()
+    whole.sh[2, 0, 1], whole.log_scale[1] = 1e38, 1e30
+    stored = encode_spz(whole).gaussians
+    assert stored.sh[2, 0, 1] == pytest.approx(3.33, abs=0.01)
+    assert "1 Gaussians are brighter or darker than .spz can hold" in caplog.text
+    data = encode_glb(whole).data
+    assert np.float32(np.inf).tobytes() not in data
+    assert not recwarn.list
+
+
 def test_spz_keeps_the_largest_coordinate():
     wide = gaussians()
     for largest in (0.3, 1.0, 1000.0, 4194303.0):
@@ -137,6 +148,18 @@ def test_tables_hold_what_is_there():
     table = sog.make_table(few)
     assert len(table) == 256
     assert np.allclose(table[sog.nearest(table, few)], few, atol=0.04)
+
+
+@pytest.mark.parametrize("outlier", [20.0, 1e4, -1e30])
+def test_tables_of_values_with_an_outlier_are_as_fine(rng, outlier):
+    values = rng.normal(size=(9000, 3)).astype(np.float32)
+    usual = sog.make_table(values)
+    error = np.abs(usual[sog.nearest(usual, values)] - values)
+    values[4, 1] = outlier
+    table = sog.make_table(values)
+    found = np.abs(table[sog.nearest(table, values)] - values)
+    assert np.median(found) < 1.5 * np.median(error)
+    assert found.max() < 4 * error.max()
 
 
 def test_palettes_hold_repeated_sets_exactly():
