@@ -52,12 +52,14 @@ class Page:
     def __init__(self, library: ctypes.CDLL, data: bytes, there: int | None = None) -> None:
         """``there``: how many bytes of ``data`` have come; default: all."""
         self._library = library
-        for name in ("room", "numbers", "hashes", "positions", "records", "order"):
+        for name in ("room", "numbers", "hashes", "positions", "records", "order", "chunks"):
             getattr(library, f"page_{name}").restype = ctypes.c_void_p
         library.page_problem.restype = ctypes.c_char_p
         library.page_count.restype = library.page_sort.restype = ctypes.c_size_t
         library.page_layers.restype = ctypes.c_size_t
-        ctypes.memmove(library.page_room(ctypes.c_size_t(len(data))), data, len(data))
+        library.page_chunk_count.restype = ctypes.c_size_t
+        self._room = library.page_room(ctypes.c_size_t(len(data)))
+        ctypes.memmove(self._room, data, len(data))
         if there is not None:
             library.page_arrived(ctypes.c_size_t(there))
         for _ in self._steps(library.page_open()):
@@ -79,6 +81,22 @@ class Page:
         if left < 0:
             raise ValueError(self._library.page_problem().decode())
         yield left
+
+    def fill(self, begin: int, data: bytes) -> None:
+        """Bytes of the file, from ``begin`` on, have come."""
+        ctypes.memmove(self._room + begin, data, len(data))
+
+    def take(self, index: int, begin: int, data: bytes) -> None:
+        """Decode a chunk whose bytes, from ``begin`` on, have come before others."""
+        self.fill(begin, data)
+        if self._library.page_take(ctypes.c_size_t(index)) < 0:
+            raise ValueError(self._library.page_problem().decode())
+
+    @property
+    def chunks(self) -> np.ndarray:
+        """(chunks, 9) float64: begin, end, layer, least and greatest position."""
+        count = self._library.page_chunk_count()
+        return self.array("chunks", ctypes.c_double, 9 * count).reshape(count, 9)
 
     @property
     def layers(self) -> tuple[int, int]:

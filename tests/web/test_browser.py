@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from clgs.cli import main as cli
-from clgs.codec.scene_decoder import describe
+from clgs.codec.reader import SceneReader
+from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode
+from clgs.codec.sections import BytesSource, read_table
 from clgs.codec.splat_packing import pack, unpack
 from clgs.data.origin import move_camera
 from clgs.data.splats.gaussians import scene_of_packed
@@ -29,7 +31,7 @@ from tests.data.splats.test_gaussians import columns_of
 from tests.ops.cases.project import camera_at
 from tests.ops.cases.splats import stored
 from tests.web.browser import Browser, find_browser
-from tests.web.scenes import grey_wall, quantized_scene
+from tests.web.scenes import SCALES, grey_wall, quantized_scene
 from tests.web.slow_server import serve_slowly
 
 SIZE = 96
@@ -157,6 +159,75 @@ def test_a_scene_behind_an_address_is_shown_while_it_comes(browser, scene, detai
     assert errors == sorted(errors, reverse=True)
     assert server.asked == ["/page.html", "/s.clgs"]
     assert browser.errors == []
+
+
+@pytest.fixture(scope="module")
+def large():
+    """A scene of about 700 kB in four layers, and the camera that sees all of it."""
+    quantized, camera = quantized_scene(40_000, SIZE)
+    return encode(quantized, chunk=64, layers=4, details=True), camera
+
+
+def test_what_the_camera_sees_comes_first(browser, large):
+    """If the server gives parts: what it does not see comes after all layers of what it sees."""
+    data, camera = large
+    along_x = np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])
+    inside = replace(camera, rotation=along_x, translation=np.array([0, 0, 0.4]))
+    ends = [layer["end"] for layer in describe(data)["layers"]]
+    with serve_slowly(page.scene_page(b"", ""), data, ranges=True) as server:
+        server.let(ends[0])
+        browser.open(server.address + "page.html?scene=s.clgs", SIZE, SIZE)
+        browser.wait("window.clgs && clgs.state().layersReady === 1 && clgs.state().ready")
+        show(browser, inside)
+        begun = len(server.parts)
+        assert begun <= 4
+        server.give(10**6)
+        browser.wait("clgs.state().whole && clgs.state().ready")
+        assert "file intact" in status(browser)
+        found = show(browser, camera)
+    wanted = to_8bit(render_view(decode(data).dequantize(), camera)).astype(np.float64)
+    assert wanted.std() > 8
+    assert 10 * np.log10(255**2 / np.mean((found - wanted) ** 2)) >= LEAST_PSNR
+    assert sum(end - begin for begin, end in server.parts) == len(data) - ends[0]
+    in_sight = [seen_along_x(data, *part) for part in server.parts[begun:] if part[1] <= ends[2]]
+    assert all(one in ({True}, {False}) for one in in_sight)  # no request has both
+    order = [one == {True} for one in in_sight]
+    assert order[0]
+    assert not order[-1]
+    assert np.sum(np.diff(order)) <= 2  # where the rest begins, requests may overtake each other
+    assert browser.errors == []
+
+
+def seen_along_x(data, begin, end):
+    """Whether chunks in a part of the file are in sight from (-0.4, 0, 0), up to 60 degrees."""
+    reader = SceneReader(BytesSource(data), read_table(BytesSource(data)))
+    found = set()
+    for chunk in reader.chunks():
+        if begin <= reader.body + chunk.start and reader.body + chunk.end <= end:
+            least, greatest = (
+                np.divide(one, SCALES.position) for one in (chunk.least, chunk.greatest)
+            )
+            away, radius = (
+                (least + greatest) / 2 + [0.4, 0, 0],
+                np.linalg.norm(greatest - least) / 2,
+            )
+            found.add(bool(away[0] + radius >= 0.5 * (np.linalg.norm(away) - radius)))
+    return found
+
+
+@pytest.mark.parametrize("given", [0, 2])
+def test_a_server_that_stops_giving_parts_leaves_a_coarser_scene(browser, large, given):
+    data, _ = large
+    ends = [layer["end"] for layer in describe(data)["layers"]]
+    with serve_slowly(page.scene_page(b"", ""), data, ranges=True) as server:
+        server.let(ends[0])
+        browser.open(server.address + "page.html?scene=s.clgs", SIZE, SIZE)
+        browser.wait("window.clgs && clgs.state().layersReady === 1")
+        server.ranges = False
+        server.let(0, cut=True)
+        server.give(given)
+        browser.wait("clgs.state().whole && clgs.state().ready")
+        assert "4 layers, the rest is lost" in status(browser)
 
 
 def test_a_download_that_ends_early_is_a_coarser_scene(browser, scene):

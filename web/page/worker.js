@@ -7,6 +7,7 @@ const STILL = 1e-6; // a camera that moved less, in scene units, stands still
 let code, memory; // what page.c exports, and its memory
 let camera = null; // the newest: {centre, row: depth's coefficients, number}
 let seen = null; // the centre that the last set, or the one that is being made, is for
+let stale = false; // whether more was decoded since that set began
 let making = false;
 let sorted = -1; // number of the camera of the last order
 let awake = false;
@@ -42,7 +43,8 @@ function hex(at, splats) {
     .join("");
 }
 
-function facts() {
+// `first`: with the positions, to choose a view by.
+function facts(first) {
   const [items, near, alphaCut, alphaMax, blur, ...rest] =
     copy(Float64Array, code.page_numbers(), 20);
   const hashes = code.page_hashes();
@@ -50,7 +52,7 @@ function facts() {
     items, near, alphaCut, alphaMax, blur, background: rest.slice(0, 3), splats: rest[3],
     learned: rest[4], origin: [...rest.slice(5, 8)], photos: [...rest.slice(8)],
     hash: hex(hashes, rest[3]), expectedHash: hex(hashes + 8, rest[3]),
-    positions: copy(Float32Array, code.page_positions(), 3 * items),
+    positions: first ? copy(Float32Array, code.page_positions(), 3 * items) : null,
     layers: code.page_layers(0), ready: code.page_layers(1),
   };
 }
@@ -90,11 +92,12 @@ async function decode(exports, steps) {
 
 // Say what there is, and draw it; `whole`: no more bytes will come.
 function show(exports, whole) {
+  const first = !code;
   code = exports;
-  const scene = facts();
+  const scene = facts(first);
   if (whole && scene.ready < 1) throw new Error("the file is cut before its first layer ends");
-  seen = null;
-  postMessage({kind: "scene", ...scene, whole}, [scene.positions.buffer]);
+  stale = true;
+  postMessage({kind: "scene", ...scene, whole}, first ? [scene.positions.buffer] : []);
   wake();
 }
 
@@ -115,7 +118,7 @@ function sendOrder(records) {
   const count = code.page_sort(row[0], row[1], row[2], row[3]);
   const order = copy(Uint32Array, code.page_order(), count);
   sorted = number;
-  const message = {kind: "order", order, number, settled: !making && !moved()};
+  const message = {kind: "order", order, number, settled: !making && !stale && !moved()};
   const owned = [order.buffer];
   if (records) {
     message.records = records;
@@ -127,8 +130,9 @@ function sendOrder(records) {
 function turn() {
   if (!code || !camera) return;
   if (sorted !== camera.number && sorted >= 0) sendOrder(null);
-  if (!making && moved()) {
+  if (!making && (stale || moved())) {
     seen = camera.centre;
+    stale = false;
     code.page_begin(seen[0], seen[1], seen[2]);
     making = true;
   }
@@ -136,7 +140,7 @@ function turn() {
     making = false;
     sendOrder(copy(Uint32Array, code.page_records(), 12 * code.page_count()));
   }
-  if (making || moved()) wake();
+  if (making || stale || moved()) wake();
 }
 
 onmessage = ({data}) => {

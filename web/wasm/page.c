@@ -17,6 +17,7 @@
 
 #define PREPARED 4096 /* anchors per step */
 #define PHOTO_NUMBERS 7
+#define CHUNK_NUMBERS 9
 
 /* Where the numbers of page_numbers lie. */
 enum {
@@ -47,6 +48,8 @@ static struct page {
     splats splat;
     gaussians all;
     size_t items, decoding, prepared, begun; /* decoding: steps that are left of splats */
+    size_t apart, at;                        /* ready beyond `items`; the chunk of row `begun` */
+    double *chunk;                           /* see page_chunks */
     float centre[3];
     double number[NUMBERS];
 } page;
@@ -165,6 +168,30 @@ size_t EXPORT(page_layers)(int ready)
     return page.sections.splats ? 1 : ready ? a->layer : a->list.layers;
 }
 
+/* The numbers of page_chunks. */
+static problem list_chunks(void)
+{
+    const anchors *a = &page.anchor;
+    page.chunk = memory_take(8 * CHUNK_NUMBERS * a->list.chunks + 8);
+    if (!page.chunk)
+        return NO_MEMORY;
+    double scale = load_double(page.sections.section[META].data + 16);
+    size_t of = 0;
+    for (size_t i = 0; i < a->list.chunks; i++) {
+        const chunk *c = a->list.chunk + i;
+        const span *last = &c->part[CODED - 1];
+        double *number = page.chunk + CHUNK_NUMBERS * i;
+        while (a->list.layer[of].chunks <= i)
+            of++;
+        number[0] = (double)(c->part[0].data - page.file.data);
+        number[1] = (double)(last->data + last->size - page.file.data);
+        number[2] = (double)of;
+        for (int k = 0; k < 6; k++)
+            number[3 + k] = (double)c->bounds[k] / scale;
+    }
+    return NULL;
+}
+
 static problem open_anchors(void)
 {
     problem wrong = anchors_open(&page.sections, &page.anchor);
@@ -172,7 +199,9 @@ static problem open_anchors(void)
         return wrong;
     if (!read_numbers(page.sections.section[META].data) || !read_photos(page.sections.photos))
         return "a setting of the file is out of range; encode it again";
-    wrong = neural_open(&page.anchor, &page.neural);
+    wrong = page.sections.layers ? list_chunks() : NULL;
+    if (!wrong)
+        wrong = neural_open(&page.anchor, &page.neural);
     return wrong ? wrong : gaussians_open(OFFSETS * page.anchor.list.anchors, &page.all);
 }
 
@@ -240,6 +269,41 @@ int EXPORT(page_step)(void)
     return wrong ? fail(wrong) : steps_left();
 }
 
+/* Of every chunk of a file in layers: where its bytes begin and end in the file, its layer, and the
+ * least and the greatest position of its anchors, in scene units. NULL of other files. */
+const double *EXPORT(page_chunks)(void)
+{
+    return page.chunk;
+}
+
+size_t EXPORT(page_chunk_count)(void)
+{
+    return page.chunk ? page.anchor.list.chunks : 0;
+}
+
+/* A chunk of which the bytes are there, though others may be missing: decode it and make it ready.
+ * Layer 0 must be; then all chunks before the details must come by this. */
+int EXPORT(page_take)(size_t index)
+{
+    anchors *a = &page.anchor;
+    if (page.wrong)
+        return -1;
+    if (!page.chunk || index < a->chunk || index >= a->list.chunks || a->taken[index])
+        return fail("a chunk was asked for twice");
+    const chunk *c = a->list.chunk + index;
+    problem wrong = anchors_take(a, index);
+    if (wrong)
+        return fail(wrong);
+    neural_prepare(&page.neural, c->first, c->rows);
+    page.apart += c->rows;
+    if (a->rows == a->list.anchors) {
+        page.items = page.prepared = a->rows;
+        page.apart = 0;
+    }
+    page.number[ITEMS] = (double)(page.items + page.apart);
+    return 0;
+}
+
 /* ITEMS, NEAR, ALPHA_CUT, ALPHA_MAX, BLUR, BACKGROUND (3), SPLATS: whether it is made of them,
  * LEARNED: the blur that they learned with, ORIGIN (3): what positions are relative to, PHOTOS (7):
  * those of section PHOT, or zeros. */
@@ -266,26 +330,47 @@ const float *EXPORT(page_positions)(void)
 /* Begin a new set of Gaussians, for a camera at this place. */
 void EXPORT(page_begin)(float x, float y, float z)
 {
-    page.begun = page.all.count = 0;
+    page.begun = page.at = page.all.count = 0;
     page.centre[0] = x;
     page.centre[1] = y;
     page.centre[2] = z;
 }
 
+/* How many of the next `count` anchors are of one chunk, or of the first `page.items`; `ready`:
+ * whether they can be drawn. */
+static size_t next_rows(size_t count, int *ready)
+{
+    const anchors *a = &page.anchor;
+    size_t end = page.items;
+    *ready = page.begun < page.items;
+    if (!*ready) {
+        while (a->list.chunk[page.at].first + a->list.chunk[page.at].rows <= page.begun)
+            page.at++;
+        *ready = a->taken[page.at];
+        end = a->list.chunk[page.at].first + a->list.chunk[page.at].rows;
+    }
+    return count < end - page.begun ? count : end - page.begun;
+}
+
 /* Add those of the next `count` anchors or splats. How many are left: at 0 the set is complete. */
 int EXPORT(page_add)(size_t count)
 {
-    size_t rest = page.items - page.begun;
-    count = count < rest ? count : rest;
+    size_t end = page.apart > 0 ? page.anchor.list.anchors : page.items;
     const float alpha_cut = (float)page.number[ALPHA_CUT];
-    if (page.sections.splats)
-        splats_add(&page.splat, page.begun, count, page.centre, alpha_cut, &page.all);
-    else
-        neural_add(&page.neural, page.begun, count, page.centre, alpha_cut, &page.all);
-    page.begun += count;
-    if (page.begun == page.items)
+    while (count > 0 && page.begun < end) {
+        int ready = 1;
+        size_t some = page.sections.splats ? page.items - page.begun : next_rows(count, &ready);
+        some = some < count ? some : count;
+        if (page.sections.splats)
+            splats_add(&page.splat, page.begun, some, page.centre, alpha_cut, &page.all);
+        else if (ready)
+            neural_add(&page.neural, page.begun, some, page.centre, alpha_cut, &page.all);
+        page.begun += some;
+        count -= ready ? some : 0;
+    }
+    if (page.begun == end)
         gaussians_finish(&page.all);
-    return (int)(page.items - page.begun);
+    return (int)(end - page.begun);
 }
 
 /* Gaussians of the set so far, and their records. */

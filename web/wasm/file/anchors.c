@@ -39,7 +39,11 @@ problem anchors_open(const container *file, anchors *result)
             return wrong;
     }
     result->weight = memory_take(4 * WEIGHTS);
-    return result->weight ? NULL : NO_MEMORY;
+    result->taken = memory_take(result->list.chunks + 1);
+    if (!result->weight || !result->taken)
+        return NO_MEMORY;
+    memset(result->taken, 0, result->list.chunks + 1);
+    return NULL;
 }
 
 size_t anchors_layers(const anchors *a, size_t bytes)
@@ -259,5 +263,46 @@ problem anchors_step(anchors *a)
     }
     a->rows = next->rows;
     a->layer++;
+    return NULL;
+}
+
+static problem verify_chunk(const chunk *c)
+{
+    size_t others = 0;
+    for (int i = 1; i < CODED; i++)
+        others += c->part[i].size;
+    int same = clgs_crc32c(c->part[0].data, c->part[0].size) == c->crc[0] &&
+               clgs_crc32c(c->part[1].data, others) == c->crc[1];
+    return same ? NULL : WRONG;
+}
+
+/* Count the chunks that follow each other from the first on, and the layers that they complete. */
+static void count_taken(anchors *a)
+{
+    const layer *layers = a->list.layer;
+    while (a->chunk < a->list.chunks && a->taken[a->chunk])
+        a->chunk++;
+    while (a->layer < a->list.layers && layers[a->layer].chunks <= a->chunk) {
+        a->rows = layers[a->layer].rows;
+        a->layer++;
+    }
+}
+
+problem anchors_take(anchors *a, size_t index)
+{
+    const chunk *c = a->list.chunk + index;
+    size_t mark = memory_mark();
+    problem wrong = verify_chunk(c);
+    for (size_t part = 0; part < CODED && !wrong; part++)
+        wrong = read_integers(a, c, part);
+    if (wrong)
+        return wrong;
+    for (int i = 0; i < CODED; i++) {
+        int32_t *first = a->array[i].integer + COLUMNS_OF[i] * c->first;
+        to_floats(first, COLUMNS_OF[i] * c->rows, scale_of(a, i), first);
+    }
+    memory_release(mark);
+    a->taken[index] = 1;
+    count_taken(a);
     return NULL;
 }

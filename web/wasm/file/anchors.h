@@ -23,6 +23,7 @@ typedef struct anchors {
     size_t layer, chunk, part; /* the next ones; of details, chunks go on behind the last */
     size_t chunk_mark;
     size_t rows;                  /* of the layers that are decoded */
+    uint8_t *taken;               /* whether a chunk was, by anchors_take */
     int read;                     /* whether the weights are */
     uint64_t expected_hash, hash; /* of the last layer that was decoded */
 } anchors;
@@ -43,5 +44,9 @@ size_t anchors_left(const anchors *a, size_t layers);
  *
  * Details change the floats chunk by chunk. */
 problem anchors_step(anchors *a);
+
+/* Decode a chunk of a file in layers, whose bytes are there, though others before may be missing:
+ * verified by its CRCs, at once as floats. Once this has begun, all chunks come by it. */
+problem anchors_take(anchors *a, size_t chunk);
 
 #endif

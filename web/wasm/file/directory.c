@@ -1,5 +1,7 @@
 #include "directory.h"
 
+#include <string.h>
+
 #include "clgs_codec.h"
 #include "common/bytes.h"
 #include "memory.h"
@@ -89,6 +91,7 @@ static problem place_chunk(const container *file, const row from, size_t end[COD
         *at += result->part[i].size;
     }
     result->rows = (size_t)from[0];
+    memcpy(result->bounds, from + 1, sizeof result->bounds);
     if (result->rows > result->part[0].size * (uint64_t)MAX_POINTS_PER_BYTE)
         return WRONG;
     return find_cell(from, file->section[META].data + 152, result);
@@ -113,6 +116,8 @@ static problem read_group(reader *r, span bytes, size_t first, size_t count, con
     for (size_t i = 0; i < count && !wrong; i++) {
         chunk *next = &r->result->chunk[first + i];
         next->first = first + i > 0 ? next[-1].first + next[-1].rows : 0;
+        next->crc[0] = clgs_load32(bytes.data + 4 * i);
+        next->crc[1] = clgs_load32(bytes.data + 4 * (count + i));
         wrong = place_chunk(r->file, rows[i], r->end, next);
         if (!wrong && next->first + next->rows > r->result->anchors)
             wrong = WRONG;

@@ -11,7 +11,9 @@ typedef struct chunk {
     size_t first, rows;
     int32_t corner[3]; /* of the octree cell that holds the chunk, and its depth */
     uint32_t depth;
+    int64_t bounds[6]; /* least and greatest position, inclusive */
     span part[CODED];
+    uint32_t crc[2]; /* of the part in ANCH, and of the others as one string of bytes */
 } chunk;
 
 /* Where a layer ends: the first chunk, row and byte of BODY that are not in it or those before. One
@@ -33,8 +35,8 @@ typedef struct directory {
 /* Read META's counts and CHNK, and verify what they say of the other sections.
  *
  * The chunks lie in memory that is taken; those of a BODY that is cut may lie beyond its end. CRCs
- * of single chunks are not looked at: those of whole sections and the hashes of layers cover them.
- * Nor are corners and order, which the hashes cover. */
+ * of single chunks are not looked at here: those of whole sections and the hashes of layers cover
+ * them. Nor are corners and order, which the hashes cover. */
 problem directory_read(const container *file, directory *result);
 
 #endif
