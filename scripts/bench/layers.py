@@ -1,6 +1,8 @@
 """What the layers of a file show, and files of the same size: PSNR and bytes of every prefix.
 
 ``python scripts/bench/layers.py SCENE.clgs --data DATA [--downscale N] [--layers 4] [--views 4]``
+
+The last line has, for each view, the share of the bytes of all chunks that a page fetches first.
 """
 
 from __future__ import annotations
@@ -10,15 +12,38 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
+from clgs.codec.reader import SceneReader
 from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode
+from clgs.codec.sections import BytesSource, read_table
 from clgs.opencl.device import Device
 from clgs.render.renderer import Renderer
+from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene
 from clgs.train.quality.scores import mean_psnr
 from clgs.workflow.options import ViewOptions
 from clgs.workflow.smaller import encode_within, importance_in_views
 from clgs.workflow.views import drawing_options, select_views
+
+
+WIDE = 0.5
+"""As in web/page/stream.js: cosine of the angle from which on a camera does not see a chunk."""
+
+
+def in_sight(data: bytes, scene: QuantizedScene, camera: Camera) -> float:
+    """Share of the bytes of all chunks whose spheres ``camera`` sees, as a page decides it."""
+    reader = SceneReader(BytesSource(data), read_table(BytesSource(data)))
+    seen = whole = 0
+    for chunk in reader.chunks():
+        ends = np.array([chunk.least, chunk.greatest]) / scene.scales.position
+        away, radius = ends.mean(axis=0) - camera.centre, np.linalg.norm(np.ptp(ends, axis=0)) / 2
+        depth = camera.rotation[2] @ away
+        size, distance = chunk.end - chunk.start, np.linalg.norm(away)
+        whole += size
+        seen += size * bool(depth + radius >= WIDE * (distance - radius))
+    return round(seen / whole, 3)
 
 
 def main() -> None:
@@ -55,6 +80,7 @@ def main() -> None:
                     found = encode_within(args.scene, scene, encode, chosen, layer["end"]).found
                     row[f"target_{known}"] = [len(found.data), psnr(found.scene)]
             print(json.dumps(row), flush=True)
+    print(json.dumps({"in_sight": [in_sight(data, scene, view.camera) for view in test]}))
 
 
 if __name__ == "__main__":
