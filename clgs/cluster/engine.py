@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from threading import Event, Thread
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
@@ -24,6 +25,8 @@ LOSSES = 1000
 """Workers that a run may lose before it is given up: each of them leaves a checkpoint."""
 
 CONNECT_SECONDS = 30
+
+REPLACE_SECONDS = 5.0
 
 ATTEMPTS = 5
 """How often workers that are lost while they start, or while they are asked, are tried again."""
@@ -82,7 +85,12 @@ def connected(workers: int, scheduler: str | None) -> Iterator[Client]:
         "distributed.scheduler.allowed-failures": LOSSES,
         "distributed.scheduler.work-stealing": False,  # of runs that take hours
     }
-    with config.set(settings), _local_cluster(workers) as cluster, Client(cluster) as client:
+    with (
+        config.set(settings),
+        _local_cluster(workers) as cluster,
+        _replaced(cluster, workers),
+        Client(cluster) as client,
+    ):
         yield client
 
 
@@ -102,6 +110,24 @@ def _local_cluster(workers: int) -> LocalCluster:
         except RuntimeError as error:
             problem = error
     raise ClgsError(f"workers do not start ({problem}); free memory, or give fewer --workers")
+
+
+@contextmanager
+def _replaced(cluster: LocalCluster, workers: int) -> Iterator[None]:
+    """Within the block, workers that dask has given up, as those killed twice, are begun anew."""
+    ended = Event()
+
+    def watch() -> None:
+        while not ended.wait(REPLACE_SECONDS):
+            cluster.scale(workers)
+
+    watching = Thread(target=watch, daemon=True)
+    watching.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        watching.join()
 
 
 def _check_address(scheduler: str) -> None:

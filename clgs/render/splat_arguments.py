@@ -297,10 +297,11 @@ def _fit(
 
 
 def _check_finite(name: str, array: npt.NDArray[Any], batch: tuple[int, ...]) -> None:
-    with np.errstate(all="ignore"):  # the sum of squares may overflow: then every number is asked
-        small = array.astype(np.float32, copy=False)  # on the device everything is
-        finite = bool(np.isfinite(np.vdot(small, small)))
-    if not (finite or np.isfinite(small).all()):
+    if array.dtype != np.float32:  # on the device everything is
+        with np.errstate(over="ignore"):
+            array = array.astype(np.float32)
+    # the sum of squares may overflow: then every number is asked
+    if not (np.isfinite(np.vdot(array, array)) or np.isfinite(array).all()):
         shape = *batch, *array.shape[1:]
         raise ValueError(f"{name}: {shape} has numbers that are not finite")
 

@@ -102,7 +102,7 @@ class Project(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
                 )
             near = call.lens.near
             matrices = given.viewmats[batch, number], given.Ks[batch, number]
-            camera = device.upload(views.pack_camera(*matrices, call.size, near))
+            camera = device.share(views.pack_camera(*matrices, call.size, near))
             call.cameras.append(camera)
             none = device.empty((len(call.splats[batch]), 0))
             with device.stage("views forward"):

@@ -101,11 +101,21 @@ def isect_offset_encode(
     """First entry (n_images, tile_height, tile_width) int32 of every tile, as gsplat's.
 
     ``isect_ids``: (I,) int64, sorted, of :func:`isect_tiles`.
+
+    Raises:
+        ValueError, TypeError: they have another shape or dtype, are not sorted, or name a tile or
+            an image that is not there.
     """
     check_shapes({"isect_ids": (isect_ids, (len(needed("isect_ids", isect_ids)),), torch.int64)})
-    tiles = tile_width * tile_height
-    wanted = torch.arange(n_images)[:, None] << tiles.bit_length() | torch.arange(tiles)
-    found = torch.searchsorted(isect_ids >> 32, wanted.reshape(-1))
+    tiles, places = tile_width * tile_height, isect_ids >> 32
+    bits = tiles.bit_length()
+    known = (places & (1 << bits) - 1 < tiles) & (places >> bits < n_images) & (places >= 0)
+    if not known.all():
+        raise ValueError(f"isect_ids: has entries beyond {n_images} images of {tiles} tiles")
+    if (isect_ids.diff() < 0).any():
+        raise ValueError("isect_ids: is not sorted; see isect_tiles")
+    wanted = torch.arange(n_images)[:, None] << bits | torch.arange(tiles)
+    found = torch.searchsorted(places, wanted.reshape(-1))
     return found.int().reshape(n_images, tile_height, tile_width)
 
 

@@ -27,7 +27,6 @@ from clgs.workflow.options import ViewOptions
 from clgs.workflow.smaller import encode_within, importance_in_views
 from clgs.workflow.views import drawing_options, select_views
 
-
 WIDE = 0.5
 """As in web/page/stream.js: cosine of the angle from which on a camera does not see a chunk."""
 

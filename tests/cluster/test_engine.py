@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 
 import pytest
 
+from clgs.cluster import engine
 from clgs.cluster.engine import common_kind, connected, memory_per_worker
 from tests.cluster.kill import killed_at_start
 
@@ -27,3 +29,24 @@ def test_workers_that_are_lost_are_awaited_before_they_are_asked(tmp_path):
             for process in client.run(os.getpid).values():
                 os.kill(process, signal.SIGKILL)
             assert question(client)
+
+
+@pytest.mark.slow
+def test_a_worker_that_dask_gives_up_is_replaced(monkeypatch):
+    """As after it was killed while it was being started again."""
+    from dask import config
+
+    monkeypatch.setattr(engine, "REPLACE_SECONDS", 0.2)
+    with (
+        config.set({"distributed.deploy.lost-worker-timeout": "0.2s"}),
+        connected(1, None) as client,
+    ):
+        (lost,) = client.scheduler_info(n_workers=-1)["workers"]
+        client.sync(client.cluster.workers[0].close)
+        for _ in range(300):
+            found = list(client.scheduler_info(n_workers=-1)["workers"])
+            if found and lost not in found:
+                break
+            time.sleep(0.1)
+        assert len(found) == 1
+        assert client.submit(os.getpid).result(timeout=60) > 0

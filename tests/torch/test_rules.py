@@ -264,6 +264,14 @@ def test_lists_and_pixels_that_are_refused():
     _, ids, rows = ours.isect_tiles(*boxes, 16, 3, 2)
     with pytest.raises(TypeError, match=r"isect_ids: dtype is torch\.int32, expected"):
         ours.isect_offset_encode(ids.int(), 2, 3, 2)
+    for wrong, images, columns, match in (
+        (ids, 1, 3, "beyond 1 images of 6 tiles"),
+        (ids, 2, 1, "beyond 2 images of 2 tiles"),
+        (-ids, 2, 3, "beyond 2 images of 6 tiles"),
+        (ids.flip(0), 2, 3, "is not sorted"),
+    ):
+        with pytest.raises(ValueError, match="isect_ids: .*" + match):
+            ours.isect_offset_encode(wrong, images, columns, 2)
     given = {
         "means2d": boxes[0], "conics": torch.ones(2, 4, 3), "colors": torch.ones(2, 4, 3),
         "opacities": torch.ones(2, 4), "image_width": 33, "image_height": 27, "tile_size": 16,

@@ -84,17 +84,28 @@ def pack_camera(
     near: float,
 ) -> npt.NDArray[np.float32]:
     """A camera (26,) float32, the layout of ``Camera.pack``, of matrices (4, 4) and (3, 3)."""
-    matrix = np.asarray(viewmat, np.float64)
-    centre = np.linalg.solve(matrix[:3, :3], matrix[:3, 3])
+    a, b, c = rows = np.asarray(viewmat, np.float64).tolist()[:3]
     (fx, _, cx), (_, fy, cy) = np.asarray(intrinsics, np.float64).tolist()[:2]
+    # the matrix's inverse by its minors: plain numbers, for NumPy takes longer
+    minors = _cross(b, c), _cross(c, a), _cross(a, b)
+    determinant = sum(x * y for x, y in zip(a, minors[0], strict=False))
+    centre = [
+        -sum(m[k] * row[3] for m, row in zip(minors, rows, strict=True)) / determinant
+        for k in range(3)
+    ]
     limits = [
         (edge - middle) / focal
         for extent, middle, focal in ((size[0], cx, fx), (size[1], cy, fy))
         for edge in (-FRUSTUM_MARGIN * extent, (1 + FRUSTUM_MARGIN) * extent)
     ]
     rest = fx, fy, cx, cy, *size, near, *limits
-    numbers = *matrix[:3, :3].ravel().tolist(), *matrix[:3, 3].tolist(), *rest, *(-centre).tolist()
-    return np.array(numbers, np.float32)
+    turn = [x for row in rows for x in row[:3]]
+    return np.array([*turn, *(row[3] for row in rows), *rest, *centre], np.float32)
+
+
+def _cross(u: list[float], v: list[float]) -> tuple[float, float, float]:
+    """The cross product of the first three numbers of each."""
+    return u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
 
 
 def forward(

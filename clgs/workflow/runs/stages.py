@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from functools import cached_property, partial
 from importlib.util import find_spec
+from math import ceil
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +45,6 @@ from clgs.workflow.runs.record import (
     FinishedRun,
     RunInput,
     RunRecord,
-    in_words,
     measure_data,
 )
 from clgs.workflow.scenes import read_drawable, read_scene
@@ -251,7 +251,7 @@ class RunStages:
         links |= {"ordinary Gaussians": GAUSSIANS, "poses of the photos": f"{DATA}/{REPORT}"}
         sketch, steps = "", record.plan.get("steps", SKETCH_STEPS)
         if steps < SKETCH_STEPS:
-            longer = in_words(SKETCH_TIMES * record.time).replace(" ", "")
+            longer = f"{ceil(SKETCH_TIMES * record.time / 60)}m"
             more = command_line("run", given.path, "-o", out, "--resume", "--time", longer)
             sketch = f"A sketch: {steps:,} steps. More time makes it sharp: {more}"
         words = ["run", given.path, "-o", out, *setting_options(record.settings)]
