@@ -28,7 +28,7 @@ from clgs.workflow.smaller import encode_within, importance_in_views
 from clgs.workflow.views import drawing_options, select_views
 
 WIDE = 0.5
-"""As in web/page/stream.js: cosine of the angle from which on a camera does not see a chunk."""
+"""Cosine, that of web/page/stream.js, of the angle from which on a camera does not see a chunk."""
 
 
 def in_sight(data: bytes, scene: QuantizedScene, camera: Camera) -> float:

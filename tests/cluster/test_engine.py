@@ -33,7 +33,7 @@ def test_workers_that_are_lost_are_awaited_before_they_are_asked(tmp_path):
 
 @pytest.mark.slow
 def test_a_worker_that_dask_gives_up_is_replaced(monkeypatch):
-    """As after it was killed while it was being started again."""
+    """A worker that is killed while it is started again ends so."""
     from dask import config
 
     monkeypatch.setattr(engine, "REPLACE_SECONDS", 0.2)
