@@ -114,7 +114,7 @@ def _local_cluster(workers: int) -> LocalCluster:
 
 @contextmanager
 def _replaced(cluster: LocalCluster, workers: int) -> Iterator[None]:
-    """Within the block, workers that dask has given up, as those killed twice, are started again."""
+    """Within the block, workers that dask has given up, as those killed twice, start again."""
     ended = Event()
 
     def watch() -> None:
