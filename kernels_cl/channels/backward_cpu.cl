@@ -88,8 +88,7 @@ __kernel void channels_backward(__global const float *records, __global const in
         rays->transmittance = load_unit(transmittance, ux, uy, width, height);
         rays->last =
             AS_IV(load_unit((__global const float *)last_contributor, ux, uy, width, height));
-        rays->behind =
-            with_left ? load_unit(d_left, ux, uy, width, height) : (fv)(0.0f);
+        rays->behind = with_left ? load_unit(d_left, ux, uy, width, height) : (fv)(0.0f);
         for (int c = 0; c < ALL_CHANNELS; ++c) {
             rays->d[c] = load_channel(d_image, first + c, image_pitch, ux, uy, width, height);
             rays->behind = fma(rays->d[c], (fv)(background[first + c]), rays->behind);
