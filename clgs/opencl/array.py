@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pyopencl as cl
 
 
 @dataclass(frozen=True)
@@ -44,10 +43,3 @@ class DeviceArray:
     def first(self, rows: int) -> DeviceArray:
         """The first ``rows``, in the same memory."""
         return replace(self, shape=(rows, *self.shape[1:]))
-
-
-def part_of(whole: DeviceArray, begin: int, shape: tuple[int, ...]) -> DeviceArray:
-    """An array of float32 from byte ``begin`` of an array of bytes on, in the same memory."""
-    memory: Any = cl.Buffer.from_int_ptr(whole.buffer.int_ptr, retain=True)  # pools have no regions
-    region = memory.get_sub_region(begin, 4 * max(math.prod(shape), 1))
-    return DeviceArray(region, shape, np.dtype(np.float32), (whole, begin))

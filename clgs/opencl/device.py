@@ -16,7 +16,7 @@ import pyopencl.tools
 from clgs.arguments import check_type
 from clgs.errors import DeviceError, NoRoomError
 from clgs.machine import return_unused_memory
-from clgs.opencl.array import DeviceArray, part_of
+from clgs.opencl.array import DeviceArray
 from clgs.opencl.choose import (
     choose_device,
     form_of,
@@ -31,7 +31,7 @@ from clgs.opencl.choose import (
 from clgs.opencl.driver_calls import KernelTimes, Profile, Waits, note_opened, tells_of_loss
 from clgs.opencl.kernel import Argument, Kernel
 from clgs.opencl.programs import Programs, context_of
-from clgs.opencl.transfer import Download, PinnedMemory, Transfers
+from clgs.opencl.transfer import Download, PinnedMemory, Transfers, part_of
 
 POOL_BITS = {"cpu": 0, "gpu": 2}
 """Leading bits of a size, after the first one, that tell apart what the memory pool reuses."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import weakref
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -181,3 +182,10 @@ class Transfers:
             ]
 
         return wait
+
+
+def part_of(whole: DeviceArray, begin: int, shape: tuple[int, ...]) -> DeviceArray:
+    """An array of float32 from byte ``begin`` of an array of bytes on, in the same memory."""
+    memory: Any = cl.Buffer.from_int_ptr(whole.buffer.int_ptr, retain=True)  # pools have no regions
+    region = memory.get_sub_region(begin, 4 * max(math.prod(shape), 1))
+    return DeviceArray(region, shape, np.dtype(np.float32), (whole, begin))
