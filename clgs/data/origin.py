@@ -129,6 +129,33 @@ def repose(dataset: Dataset, transform: SceneTransform) -> Dataset:
     return replace(dataset, train=train, test=test, transform=transform)
 
 
+def same_place(run: Path, dataset: Dataset, posed: Dataset, data: Path) -> str:
+    """See that a data set shows the scene of a run; what to say if that is not certain, or "".
+
+    Args:
+        run: folder of the run.
+        dataset: read from ``data``.
+        posed: the same in the units of the run's scene.
+        data: how it is called in errors.
+
+    Raises:
+        DataError: it is that of another scene.
+    """
+    origin = read_origin(run)
+    if origin is not None and origin.check(posed.train + posed.test, data):
+        return ""
+    near = alike(dataset.transform, posed.transform, dataset.radius)
+    none = "has none of the photos that the scene was trained with"
+    if origin is not None:
+        if not near:
+            raise DataError(f"{data}: {none}, and other cameras; name {origin.folder} instead")
+        return f"{data} {none}; if it shows another scene, name {origin.folder} instead"
+    if near:
+        return ""
+    unlike = "are placed unlike those that the scene was trained with"
+    return f"the cameras of {data} {unlike}; if it shows another scene, name the right one"
+
+
 def alike(one: SceneTransform, other: SceneTransform, radius: float) -> bool:
     """Whether two transforms may be of the same photos, with a few added or removed.
 

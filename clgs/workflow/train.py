@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from clgs.data.origin import repose
+from clgs.data.origin import repose, same_place
 from clgs.errors import DataError, UsageError
 from clgs.exports.report import REPORT, write_run_report
 from clgs.files import check_folder, write_json
@@ -29,7 +29,7 @@ from clgs.train.run.session import Progress, Session
 from clgs.train.step.batch import open_devices
 from clgs.workflow.events import Note, OnEvent, TrainingProgress, ignore
 from clgs.workflow.outputs import check_apart
-from clgs.workflow.views import check_same_place, scene_name
+from clgs.workflow.views import scene_name
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,8 @@ def train(
         scene = finished_settings(start)[0].scene
         _check_box(config, scene, start)
         posed = repose(dataset, scene.transform)
-        check_same_place(start, dataset, posed, data, on_event)
+        if doubt := same_place(start, dataset, posed, data):
+            on_event(Note(doubt))
         dataset = posed
     config = config.for_devices(len(devices)).for_dataset(dataset.kind)
     further = "" if start is None else f", from {start} on"

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from clgs.data.dataset import Dataset, load_dataset
-from clgs.data.origin import alike, read_origin, repose
+from clgs.data.origin import read_origin, repose, same_place
 from clgs.data.reduction import MAX_SIZE
 from clgs.data.view import View
 from clgs.errors import DataError, UsageError
@@ -104,30 +104,10 @@ def load_views(
         fisheye_view=trained.fisheye_view,
     )
     posed = repose(dataset, scene.transform)
-    if not isinstance(scene, SplatScene):
-        check_same_place(path, dataset, posed, data, on_event)
+    splats = isinstance(scene, SplatScene)
+    if doubt := "" if splats else same_place(run_folder(path), dataset, posed, data):
+        on_event(Note(doubt))
     return posed
-
-
-def check_same_place(
-    path: Path, dataset: Dataset, posed: Dataset, data: Path, on_event: OnEvent
-) -> None:
-    """See that ``data`` shows the scene at ``path``; a note if that is not certain."""
-    origin = read_origin(run_folder(path))
-    if origin is not None and origin.check(posed.train + posed.test, data):
-        return
-    near = alike(dataset.transform, posed.transform, dataset.radius)
-    none = "has none of the photos that the scene was trained with"
-    if origin is not None and not near:
-        remedy = f"name {origin.folder} instead"
-        raise DataError(f"{data}: {none}, and other cameras; {remedy}")
-    if origin is not None:
-        remedy = f"if it shows another scene, name {origin.folder} instead"
-        on_event(Note(f"{data} {none}; {remedy}"))
-    elif not near:
-        unlike = "are placed unlike those that the scene was trained with"
-        remedy = "if it shows another scene, name the right one"
-        on_event(Note(f"the cameras of {data} {unlike}; {remedy}"))
 
 
 def check_photo_options(options: ViewOptions) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,7 +13,7 @@ import numpy as np
 from clgs.arguments import as_path, check_type
 from clgs.codec.scene_encoder import encode
 from clgs.data.dataset import Dataset
-from clgs.data.origin import repose, write_origin
+from clgs.data.origin import repose, same_place, write_origin
 from clgs.data.view import View
 from clgs.errors import DataError, UsageError
 from clgs.exports.pictures import PictureFolder
@@ -43,6 +44,8 @@ from clgs.train.state.checkpoint import checkpoints
 from clgs.train.state.hashes import fingerprint, run_digest
 from clgs.train.state.run_state import RunState
 from clgs.train.step.batch import check_together
+
+_log = logging.getLogger(__name__)
 
 HASHED_VIEWS = 3
 TRAINING_VIEWS = 16
@@ -283,16 +286,19 @@ def train_scene(
         on_progress: called after every step; the device may be a step ahead.
 
     Raises:
-        DataError: nothing to train on, or the folder holds another run.
+        DataError: nothing to train on, the folder holds another run, or ``start`` is of other data.
         ExistsError: it holds a run, which is neither to be resumed nor overwritten; a DataError.
         UsageError: ``folder`` is empty, ``resume`` and ``overwrite`` contradict each other, the
             devices are of different kinds, or more than there are training photos.
         BudgetError: the memory budget is too small for some view.
         NonFiniteLossError: the loss is not finite; names step and view.
-        TypeError: ``dataset`` or ``config`` is of another class.
+        TypeError: ``dataset``, ``config``, ``devices`` or ``on_progress`` is of another class.
     """
     check_type("dataset", dataset, Dataset, "clgs.load_dataset(folder) reads one")
     check_type("config", config or TrainConfig(), TrainConfig, "clgs.preset(name) makes one")
+    check_type("devices", devices, Sequence, "a list of clgs.Device()")
+    if on_progress is not None and not callable(on_progress):
+        raise TypeError(f"on_progress: is {type(on_progress).__name__}; give a function")
     for each in devices if device is None else (device, *devices):
         check_type("device", each, Device, "clgs.Device() opens one")
     if device is not None and devices:
@@ -306,7 +312,10 @@ def train_scene(
     dataset = with_points(dataset, resolved, Path(folder))
     origin = None if start is None else Path(start)
     if origin is not None:
-        dataset = repose(dataset, finished_settings(origin)[0].scene.transform)
+        posed = repose(dataset, finished_settings(origin)[0].scene.transform)
+        if doubt := same_place(origin, dataset, posed, dataset.folder or Path("the data")):
+            _log.warning("%s", doubt)
+        dataset = posed
     finished = finished_run(Path(folder), dataset, resolved) if resume else None
     if finished is not None:
         return finished

@@ -186,6 +186,11 @@ def test_arguments_of_other_classes_are_one_line(dataset, open_device, tmp_path)
         (lambda: clgs.run(tmp_path, tmp_path / "x", seconds="5m"), "seconds: is str"),
         (lambda: clgs.run(tmp_path, tmp_path / "x", steps="5"), "steps: '5'; an integer is"),
         (lambda: clgs.render_options(["exact"]), "accuracy: is list, str is needed"),
+        (lambda: clgs.train_scene(dataset, tmp_path / "x", devices=3), "devices: is int, Sequence"),
+        (
+            lambda: clgs.train_scene(dataset, tmp_path / "x", on_progress=3),
+            "on_progress: is int; give a function",
+        ),
     ):
         with pytest.raises(TypeError, match=said):
             call()
