@@ -39,10 +39,12 @@ def check_integer(name: str, value: Any) -> int:
         raise TypeError(f"{name}: {_shown(value)}; an integer is needed") from None
 
 
-def check_range(name: str, value: Any, least: int, most: int) -> None:
+def check_range(name: str, value: Any, least: int, most: int | None = None) -> None:
     """Raise UsageError unless ``value`` is within a range, TypeError unless it is an integer."""
-    if not least <= check_integer(name, value) <= most:
-        raise UsageError(f"{name}: {value} is not one of {least} to {most}")
+    number = check_integer(name, value)
+    if number < least or (most is not None and number > most):
+        allowed = f"at least {least}" if most is None else f"{least} to {most}"
+        raise UsageError(f"{name}: {value} is out of range; give {allowed}")
 
 
 def check_choice(name: str, value: object, known: Sequence[str]) -> None:

@@ -120,6 +120,24 @@ def workers(threads: int | None = None) -> Iterator[ThreadPoolExecutor]:
     pool.shutdown()
 
 
+@contextmanager
+def repeatedly(action: Callable[[], object], seconds: float) -> Iterator[None]:
+    """Call ``action`` in a thread of its own within the block, ``seconds`` apart."""
+    ended = threading.Event()
+
+    def watch() -> None:
+        while not ended.wait(seconds):
+            action()
+
+    thread = threading.Thread(target=watch, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
 def processors() -> int:
     """Processors that this process may use."""
     if hasattr(os, "sched_getaffinity"):

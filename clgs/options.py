@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, fields
 
-from clgs.arguments import MOST, check_range, check_type
+from clgs.arguments import check_range, check_type
 from clgs.constants import ALPHA_CUT, TRANSMITTANCE_STOP
 from clgs.errors import UsageError
 
@@ -127,7 +127,7 @@ def render_options(
     if accuracy not in PRESETS:
         raise UsageError(f"accuracy: {accuracy!r} is not one of {', '.join(PRESETS)}")
     if max_memory is not None:
-        check_range("max_memory", max_memory, 0, MOST - 1)
+        check_range("max_memory", max_memory, 0)
     if not 0 <= smallest_anchor < math.inf:
         raise UsageError(f"smallest_anchor: {smallest_anchor} is not a finite number of at least 0")
     budget = max_memory * 2**20 if max_memory else None

@@ -9,14 +9,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from threading import Event, Thread
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from clgs import __version__
 from clgs.cluster.worker import TOPIC, Row, Task, Work, describe, difference, run_on_worker
 from clgs.errors import ClgsError, UsageError
-from clgs.machine import available_memory
+from clgs.machine import available_memory, repeatedly
 
 if TYPE_CHECKING:
     from distributed import Client, LocalCluster
@@ -27,6 +26,7 @@ LOSSES = 1000
 CONNECT_SECONDS = 30
 
 REPLACE_SECONDS = 5.0
+"""Workers that dask has given up, as those killed twice, are started again within this time."""
 
 ATTEMPTS = 5
 """How often workers that are lost while they start, or while they are asked, are tried again."""
@@ -88,7 +88,7 @@ def connected(workers: int, scheduler: str | None) -> Iterator[Client]:
     with (
         config.set(settings),
         _local_cluster(workers) as cluster,
-        _replaced(cluster, workers),
+        repeatedly(partial(cluster.scale, workers), REPLACE_SECONDS),
         Client(cluster) as client,
     ):
         yield client
@@ -110,24 +110,6 @@ def _local_cluster(workers: int) -> LocalCluster:
         except RuntimeError as error:
             problem = error
     raise ClgsError(f"workers do not start ({problem}); free memory, or give fewer --workers")
-
-
-@contextmanager
-def _replaced(cluster: LocalCluster, workers: int) -> Iterator[None]:
-    """Within the block, workers that dask has given up, as those killed twice, start again."""
-    ended = Event()
-
-    def watch() -> None:
-        while not ended.wait(REPLACE_SECONDS):
-            cluster.scale(workers)
-
-    watching = Thread(target=watch, daemon=True)
-    watching.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        watching.join()
 
 
 def _check_address(scheduler: str) -> None:

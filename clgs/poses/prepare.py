@@ -12,7 +12,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from clgs.arguments import MOST, as_path, check_range
+from clgs.arguments import as_path, check_range
 from clgs.data.colmap_model import WORLD
 from clgs.data.images import read_image
 from clgs.errors import DataError, ExistsError, OutputError, is_full
@@ -98,9 +98,9 @@ def prepare(
         OutputError: ``output`` is not empty, or cannot be made.
         OSError: the disk is full, or another fault of ``output``.
     """
-    check_range("seed", seed, 0, MOST - 1)
-    check_range("max_size", max_size, 0, MOST - 1)
-    check_range("frames", 1 if frames is None else frames, 1, MOST - 1)
+    check_range("seed", seed, 0)
+    check_range("max_size", max_size, 0)
+    check_range("frames", 1 if frames is None else frames, 1)
     least = LEAST_PHOTOS if continued is None else 1
     source, output = (
         find_source(as_path("photos", photos), frames, least),

@@ -9,7 +9,6 @@ from collections.abc import Callable, Container, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
-from threading import Event, Thread
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from clgs.data.colmap_model import WORLD
 from clgs.data.images import image_size
 from clgs.data.masks import MASKS, save_mask
 from clgs.errors import DataError
+from clgs.machine import repeatedly
 from clgs.opencl.device import Device
 from clgs.poses.bring_in import camera_numbers
 from clgs.poses.evidence import MAX_CONTRADICTED, ModelChoice, poses_of
@@ -305,21 +305,11 @@ def _files_counted(folder: Path, on_count: Callable[[int], None]) -> Iterator[No
 
     pycolmap does not report how many photos it has undistorted.
     """
-    ended = Event()
 
     def count() -> None:
         on_count(sum(len(names) for _, _, names in os.walk(folder)))
 
-    def watch() -> None:
-        while not ended.wait(COUNT_SECONDS):
-            count()
-
     on_count(0)
-    thread = Thread(target=watch, daemon=True)
-    thread.start()
-    try:
+    with repeatedly(count, COUNT_SECONDS):
         yield
-    finally:
-        ended.set()
-        thread.join()
     count()

@@ -12,14 +12,14 @@ from clgs.workflow.runs.plan import Presentation
 @pytest.mark.parametrize(
     ("call", "given", "error", "match"),
     [
-        ("export", {"sh_degree": 4}, UsageError, "sh_degree: 4 is not one of 0 to 3"),
+        ("export", {"sh_degree": 4}, UsageError, "sh_degree: 4 is out of range; give 0 to 3"),
         ("export", {"sh_degree": "2"}, TypeError, "sh_degree: '2'; an integer"),
-        ("export", {"steps": -1}, UsageError, "steps: -1 is not one of 0 to 100000"),
+        ("export", {"steps": -1}, UsageError, "steps: -1 is out of range; give 0 to 100000"),
         ("export", {"units": "feet"}, UsageError, "units: 'feet'; known are data, scene"),
         ("export", {"name": 5}, TypeError, "name: is int, str is needed"),
         ("run", {"seconds": -1}, UsageError, "seconds: -1 is not a finite number above 0"),
         ("run", {"seconds": float("nan")}, UsageError, "seconds: nan is not"),
-        ("run", {"steps": 0}, UsageError, "steps: 0 is not one of 1 to"),
+        ("run", {"steps": 0}, UsageError, "steps: 0 is out of range; give at least 1"),
         ("run", {"max_size": 3}, UsageError, "max_size: 3 is out of range; give .* at least 16"),
         ("run", {"max_size": 2.5}, TypeError, "max_size: 2.5; an integer"),
         ("run", {"settings": {"nope": 1}}, UsageError, "TrainConfig has no setting 'nope'"),
@@ -32,8 +32,8 @@ from clgs.workflow.runs.plan import Presentation
             "--clip none: there",
         ),
         ("prepare", {"seed": "a"}, TypeError, "seed: 'a'; an integer"),
-        ("prepare", {"frames": -3}, UsageError, "frames: -3 is not one of 1 to"),
-        ("prepare", {"max_size": -1}, UsageError, "max_size: -1 is not one of 0 to"),
+        ("prepare", {"frames": -3}, UsageError, "frames: -3 is out of range; give at least 1"),
+        ("prepare", {"max_size": -1}, UsageError, "max_size: -1 is out of range; give at least 0"),
     ],
 )
 def test_values_that_cannot_be_used(tmp_path, call, given, error, match):

@@ -6,10 +6,11 @@ would change each other's last digits. Nothing but the end of its process stops 
 
 from __future__ import annotations
 
-import threading
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from clgs.machine import repeatedly
 from clgs.poses.pycolmap_child import OnStage, quiet_pycolmap, run_child
 from clgs.poses.workspace import Workspace
 
@@ -52,12 +53,6 @@ def work(arguments: Any, on_stage: OnStage) -> int:
     """Be the child: pycolmap writes the models as folders 0, 1, ...; returns their number."""
     *paths, seed = arguments
     database, images, folder = map(Path, paths)
-    finished = threading.Event()
-
-    def report() -> None:
-        while not finished.wait(ALIVE_SECONDS):
-            on_stage(None)
-
     with quiet_pycolmap(_TASK) as pycolmap:
         options = pycolmap.GlobalPipelineOptions()
         mapper, options.min_model_size = options.mapper, MIN_MODEL
@@ -69,13 +64,9 @@ def work(arguments: Any, on_stage: OnStage) -> int:
             one.random_seed = seed
         positioning.use_gpu = mapper.bundle_adjustment.ceres.use_gpu = False
         pycolmap.set_random_seed(seed)
-        reporter = threading.Thread(target=report, daemon=True)
-        reporter.start()
         try:
-            models = Workspace.call(pycolmap.global_mapping, database, images, folder, options)
+            with repeatedly(partial(on_stage, None), ALIVE_SECONDS):
+                models = Workspace.call(pycolmap.global_mapping, database, images, folder, options)
         except (RuntimeError, ValueError):  # it gives up if no pair determines a rotation
             return 0
-        finally:
-            finished.set()
-            reporter.join()
     return len(models)

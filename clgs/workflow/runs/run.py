@@ -11,7 +11,7 @@ from numbers import Real
 from pathlib import Path
 from typing import Any
 
-from clgs.arguments import MOST, as_path, check_range, check_type
+from clgs.arguments import as_path, check_range, check_type
 from clgs.errors import UsageError
 from clgs.exports.camera_path import read_camera_path
 from clgs.files import check_folder, make_folder
@@ -223,7 +223,7 @@ def _check_numbers(seconds: float | None, *whole: int | None) -> None:
         raise UsageError(f"seconds: {seconds} is not a finite number above 0")
     for name, value, least in zip(("steps", "max_size", "seed"), whole, (1, 1, 0), strict=True):
         if value is not None:
-            check_range(name, value, least, MOST - 1)
+            check_range(name, value, least)
             options_of(TrainConfig)[name].check(value)
 
 
