@@ -190,7 +190,7 @@ class SplatArguments:
         if opacities.size and not (opacities.min() >= 0 and opacities.max() <= UNIT_OPACITY):
             _check_finite("opacities", opacities, self.batch)
             shape = *self.batch, *opacities.shape[1:]
-            raise ValueError(f"opacities: {shape} has numbers outside of 0 to 1")
+            raise ValueError(f"opacities: {shape} has numbers outside of 0 to 1; logits: sigmoid")
         if quats is not None:
             _check_finite("quats", quats, self.batch)
             short = quats[np.abs(quats[..., 0]) < 1e-6]  # the others have a length
@@ -223,7 +223,7 @@ def check_arguments(
     """
     _check_mode(render_mode, sh_degree)
     batch = _array("means", means).shape[:-2]
-    if means.ndim < 2:
+    if means.ndim < 2 or means.shape[-1] != 3:
         raise ValueError(f"means: shape is {means.shape}, expected (..., N, 3)")
     if _array("viewmats", viewmats).ndim < 3:
         raise ValueError(f"viewmats: shape is {viewmats.shape}, expected (..., C, 4, 4)")
@@ -315,16 +315,21 @@ def _fit_colors(
     shared = array.ndim == len(batch) + 1 + rest
     if array.ndim not in (len(batch) + 1 + rest, len(batch) + 2 + rest):
         kind = "D" if sh_degree is None else "K, 3"
+        remedy = "" if sh_degree is None else "; colors that are no harmonics: sh_degree=None"
         raise ValueError(
             f"colors: shape is {array.shape}, expected (..., N, {kind}) or (..., C, N, {kind})"
+            + remedy
         )
+    if sh_degree is None and not shared and c != n == array.shape[-3]:
+        raise ValueError(f"colors: shape is {array.shape}; give sh_degree if they are harmonics")
     if sh_degree is None:
         tail: tuple[int, ...] = (array.shape[-1],)
     else:
         tail = (array.shape[-2], 3)
         if array.shape[-2] < (sh_degree + 1) ** 2:
             raise ValueError(
-                f"colors: {array.shape} has fewer harmonics than sh_degree {sh_degree} needs"
+                f"colors: {array.shape} has fewer harmonics than the {(sh_degree + 1) ** 2} that "
+                f"sh_degree {sh_degree} needs"
             )
     cameras = () if shared else (c,)
     fitted = _fit("colors", array, batch, (*cameras, n, *tail))

@@ -136,6 +136,10 @@ def test_what_changed_since_is_refused(rng):
         ({"global_z_order": False}, NotImplementedError, "global_z_order"),
         ({"far": 1.0}, TypeError, "no argument 'far'"),
         ({"opacities": torch.full((40,), torch.nan)}, ValueError, "opacities"),
+        ({"means": torch.zeros(3, 40)}, ValueError, r"means: .* \(3, 40\), expected \(..., N, 3\)"),
+        ({"colors": torch.zeros(40, 16, 3)}, ValueError, "colors: .* give sh_degree if"),
+        ({"sh_degree": 3}, ValueError, "colors: .*; colors that are no harmonics: sh_degree=None"),
+        ({"opacities": torch.full((40,), 3.0)}, ValueError, "outside of 0 to 1; logits: sigmoid"),
     ],
 )
 def test_what_is_refused(rng, changes, error, match):
