@@ -15,23 +15,28 @@
 #define TILES_AT_ONCE 2
 #endif
 
-/* AVX2 has an instruction that adds the products of two pairs of shorts, at twice the rate of
- * floats. Registers of AVX-512 hold as many floats. */
-#if defined(__AVX2__) && !defined(__AVX512F__) && TILES_AT_ONCE == 1 && defined(__has_builtin)
-#if __has_builtin(__builtin_ia32_pmaddwd256)
+/* AVX-512 (with BW) and AVX2 have an instruction that adds the products of two pairs of shorts. */
+#ifdef __has_builtin
+#if TILES_AT_ONCE == 2 && defined(__AVX512BW__) && __has_builtin(__builtin_ia32_pmaddwd512)
+#define REGISTERS 1
+#define TILE_OF(sums) (sums)[0]
+#define PAIR_PRODUCTS __builtin_ia32_pmaddwd512
+#elif TILES_AT_ONCE == 1 && defined(__AVX2__) && __has_builtin(__builtin_ia32_pmaddwd256)
+#define REGISTERS 2
+#define TILE_OF(sums) (iv)((sums)[0], (sums)[1])
+#define PAIR_PRODUCTS __builtin_ia32_pmaddwd256
+#endif
+#endif
+
+#ifdef PAIR_PRODUCTS
+/* Pairs of numbers of a descriptor, and shorts of each of the REGISTERS that hold one pair of all
+ * descriptors of a tile. */
 #define PAIRS (LENGTH / 2)
-#endif
-#endif
-
-#ifdef PAIRS
+#define SHORTS (2 * LANES / REGISTERS)
 typedef int row_numbers[PAIRS][ROWS];
-typedef short shorts __attribute__((__vector_size__(32)));
-
-static inline int8 pair_products(const short16 a, const short16 b)
-{
-    return __builtin_astype(
-        __builtin_ia32_pmaddwd256(__builtin_astype(a, shorts), __builtin_astype(b, shorts)), int8);
-}
+typedef short shorts __attribute__((__vector_size__(2 * SHORTS)));
+typedef int ints __attribute__((__ext_vector_type__(SHORTS / 2)));
+typedef uchar bytes __attribute__((__vector_size__(SHORTS), __aligned__(1)));
 
 static inline void load_rows(__global const uchar *own, const int tile, const int lane,
                              row_numbers rows)
@@ -45,24 +50,32 @@ static inline void load_rows(__global const uchar *own, const int tile, const in
 static inline void multiply(row_numbers rows, __global const uchar *others, const int tile,
                             iv products[ROWS][TILES_AT_ONCE])
 {
-    int8 sum[ROWS][2];
+    ints sum[ROWS][TILES_AT_ONCE][REGISTERS];
 #pragma unroll
     for (int r = 0; r < ROWS; ++r)
-        sum[r][0] = sum[r][1] = (int8)(0);
-    for (int k = 0; k < PAIRS; ++k) {
-        const size_t place = ((size_t)tile * PAIRS + k) * 2;
-        const short16 first = convert_short16(vload16(place, others));
-        const short16 second = convert_short16(vload16(place + 1, others));
 #pragma unroll
-        for (int r = 0; r < ROWS; ++r) {
-            const short16 row = as_short16((int8)(rows[k][r]));
-            sum[r][0] += pair_products(first, row);
-            sum[r][1] += pair_products(second, row);
-        }
-    }
+        for (int c = 0; c < TILES_AT_ONCE; ++c)
+#pragma unroll
+            for (int part = 0; part < REGISTERS; ++part)
+                sum[r][c][part] = (ints)(0);
+    for (int k = 0; k < PAIRS; ++k)
+#pragma unroll
+        for (int c = 0; c < TILES_AT_ONCE; ++c)
+#pragma unroll
+            for (int part = 0; part < REGISTERS; ++part) {
+                const size_t place = ((size_t)(tile + c) * PAIRS + k) * REGISTERS + part;
+                const shorts numbers = __builtin_convertvector(
+                    *(__global const bytes *)(others + place * SHORTS), shorts);
+#pragma unroll
+                for (int r = 0; r < ROWS; ++r)
+                    sum[r][c][part] += __builtin_astype(
+                        PAIR_PRODUCTS(numbers, __builtin_astype((ints)(rows[k][r]), shorts)), ints);
+            }
 #pragma unroll
     for (int r = 0; r < ROWS; ++r)
-        products[r][0] = (int16)(sum[r][0], sum[r][1]);
+#pragma unroll
+        for (int c = 0; c < TILES_AT_ONCE; ++c)
+            products[r][c] = TILE_OF(sum[r][c]);
 }
 #else
 typedef float row_numbers[LENGTH][ROWS];

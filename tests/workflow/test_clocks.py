@@ -5,13 +5,24 @@ from __future__ import annotations
 from contextlib import nullcontext
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from clgs.opencl.device import Device
+from clgs.ops.match import MAX_DESCRIPTORS
+from clgs.poses.stages.features import find_features, opencv
 from clgs.workflow.events import Note, StageProgress, StageRecord, ignore
 from clgs.workflow.runs import clocks
 from clgs.workflow.runs.clocks import PosesClock
-from clgs.workflow.runs.plan import Photos, PosesTime, StepSpeed, TrainingPlan, poses_time
+from clgs.workflow.runs.plan import (
+    PRODUCT_SECONDS,
+    Photos,
+    PosesTime,
+    StepSpeed,
+    TrainingPlan,
+    poses_time,
+)
 from clgs.workflow.runs.run import CORES, _Planner
 from tests.data.folders import write_blender
 
@@ -36,6 +47,25 @@ def test_between_never_shortens():
     assert clocks._between(0.01, 0.04) == pytest.approx(0.02)
     assert clocks._between(0.04, 0.01) == 0.04
     assert clocks._between(0.0, 1.0) == 0.0
+
+
+def test_a_trial_finds_the_features_of_photos_that_can_be_read(tmp_path):
+    rng = np.random.default_rng(0)
+    coarse = rng.integers(0, 256, (30, 40, 3), np.uint8).repeat(8, axis=0).repeat(8, axis=1)
+    files = [tmp_path / f"{name}.png" for name in ("textured", "blank", "broken")]
+    Image.fromarray(coarse).save(files[0])
+    Image.fromarray(np.zeros_like(coarse)).save(files[1])
+    files[2].write_bytes(files[0].read_bytes()[:1000])
+    cv2 = opencv("test")
+    _, expected = find_features(cv2, files[0], None, 320, MAX_DESCRIPTORS)
+    found = clocks.try_photos(Device(), files, 320)
+    assert found.features == len(expected) / 2 > 50
+    assert found.seconds > 0
+    assert found.product == PRODUCT_SECONDS  # nothing to compare with
+    both = clocks.try_photos(Device(), files[:1] * 2, 320)
+    assert both.features == len(expected)
+    assert both.product > 0
+    assert clocks.try_photos(Device(), files[2:], 320) is None
 
 
 PLANNED = PosesTime(features=20.0, matches=10.0, other=30.0)

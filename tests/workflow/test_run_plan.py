@@ -16,23 +16,28 @@ from clgs.workflow.runs.plan import (
     CLIP_SHARE,
     CLIPS,
     ENOUGH_STEPS,
+    FEATURES_PER_PIXEL,
+    FIXED_SECONDS,
     FRAMES,
     LATER_SECONDS,
     LATER_STEPS,
     LEAST_STEPS,
     MOST_STEPS,
     POSES_SHARE,
+    PRODUCT_SECONDS,
     ROUNDS,
     SHORT_STEPS,
     SIZES,
     Photos,
     Presentation,
     StepSpeed,
+    Trial,
     fit_speed,
     frames_within,
     make_plan,
     must_hurry,
     plan_clip,
+    poses_time,
     prepare_seconds,
 )
 from clgs.workflow.runs.record import find_input, in_words
@@ -123,6 +128,26 @@ def test_more_pixels_take_longer_to_pose_up_to_those_that_are_searched():
     # Photos are searched at twice their size, up to 3,200 pixels.
     assert seconds[0] < seconds[1] == seconds[2] == seconds[3]
     assert prepare_seconds(Photos(50, 1700, 1275), 2, False) == pytest.approx(seconds[1])
+
+
+def test_a_trial_tells_of_features_and_of_the_machine():
+    photos = Photos(60, 800, 600)
+    usual = poses_time(photos, 2, False)
+    found = FEATURES_PER_PIXEL * 1600 * 1200  # photos are searched at twice their size
+    search = 2 * usual.features / 60
+    tried = [
+        replace(photos, trial=Trial(*one))
+        for one in (
+            (found, search, PRODUCT_SECONDS),  # as usual
+            (found, 3 * search, 3 * PRODUCT_SECONDS),  # on a slow machine
+            (found / 10, search, PRODUCT_SECONDS),  # little to see
+        )
+    ]
+    same, slow, plain = (poses_time(one, 2, False) for one in tried)
+    assert same.seconds == pytest.approx(usual.seconds)
+    assert slow.seconds == pytest.approx(3 * (usual.seconds - FIXED_SECONDS) + FIXED_SECONDS)
+    assert plain.features == pytest.approx(usual.features)
+    assert plain.matches < usual.matches / 2
 
 
 def test_poses_are_tested_if_there_is_time():

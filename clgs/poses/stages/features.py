@@ -118,7 +118,6 @@ def extract(workspace: Workspace, size: int, quick: bool) -> None:
             options=importing,
         )
     cv2, limit = opencv("features"), QUICK_FEATURES if quick else MAX_FEATURES
-    shrink = min(1.0, FINEST_SIZE / 2 / size)
     kept, todo = workspace.finished, list[str]()
     for name in workspace.names:
         if earlier := kept and kept.features(name):  # another process found them
@@ -129,7 +128,7 @@ def extract(workspace: Workspace, size: int, quick: bool) -> None:
 
     def search(name: str) -> Found:
         mask = None if workspace.masks is None else workspace.masks / f"{name}.png"
-        return _find(cv2, workspace.images / name, mask, shrink, limit)
+        return find_features(cv2, workspace.images / name, mask, size, limit)
 
     with ThreadPoolExecutor(THREADS) as pool:
         for start in range(0, len(todo), BATCH):
@@ -153,16 +152,20 @@ def _write(workspace: Workspace, name: str, found: Found) -> None:
         database.write_descriptors(number, described)
 
 
-def _find(cv2: Any, photo: Path, mask: Path | None, shrink: float, limit: int) -> Found:
-    """Find the ``limit`` largest features of a photo that is searched at ``shrink`` of its size."""
+def find_features(cv2: Any, photo: Path, mask: Path | None, size: int, limit: int) -> Found:
+    """Find the ``limit`` largest features of one of several photos, as :func:`find_sift` does.
+
+    ``size``: longer side of the largest of these, pixels.
+    """
+    shrink = min(1.0, FINEST_SIZE / 2 / size)
     grey = Image.fromarray(read_image(photo).color).convert("L")
     width, height = grey.size
-    size = max(1, round(width * shrink)), max(1, round(height * shrink))
+    small = max(1, round(width * shrink)), max(1, round(height * shrink))
     used = None
     if mask is not None:
-        shown = Image.open(mask).convert("L").resize(size, Image.Resampling.NEAREST)
+        shown = Image.open(mask).convert("L").resize(small, Image.Resampling.NEAREST)
         used = np.asarray(shown)
-    searched = np.asarray(grey.resize(size, Image.Resampling.LANCZOS))
+    searched = np.asarray(grey.resize(small, Image.Resampling.LANCZOS))
     keypoints, descriptors = find_sift(cv2, searched, used, limit)
-    keypoints *= np.tile([width / size[0], height / size[1]], 3).astype(np.float32)
+    keypoints *= np.tile([width / small[0], height / small[1]], 3).astype(np.float32)
     return keypoints, descriptors

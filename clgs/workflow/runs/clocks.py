@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
@@ -18,7 +19,13 @@ import numpy as np
 from clgs.data.dataset import LEAST_POINTS, Dataset, load_dataset
 from clgs.data.images import Pixels
 from clgs.data.view import StoredPhoto, View
+from clgs.errors import DataError
 from clgs.opencl.device import Device
+from clgs.ops.match import MAX_DESCRIPTORS, Bytes, upload
+from clgs.poses.stages.features import find_features, opencv
+from clgs.poses.stages.matching import FIRST_FEATURES, MAX_RATIO, mutual_matches
+from clgs.poses.stages.pairs import all_pairs
+from clgs.poses.workspace import THREADS
 from clgs.scene.camera import Camera
 from clgs.scene.scene import SceneTransform
 from clgs.train.config import preset
@@ -26,7 +33,15 @@ from clgs.train.run.load import load_for
 from clgs.train.run.trainer import Trainer
 from clgs.train.step.schedule import COARSE_STAGES
 from clgs.workflow.events import Event, Note, OnEvent, StageProgress
-from clgs.workflow.runs.plan import Photos, PosesTime, StepSpeed, fit_speed
+from clgs.workflow.runs.plan import (
+    PRODUCT_SECONDS,
+    Photos,
+    PosesTime,
+    StepSpeed,
+    Trial,
+    fit_speed,
+    used_cores,
+)
 
 SYNTHETIC_ANCHORS, EDGES = 12_500, (160, 960)
 """Anchors of the synthetic scene, and pixels of the edges of its two photos."""
@@ -134,6 +149,38 @@ def synthetic_dataset(edge: int) -> Dataset:
         kind="transforms",
         skipped=0,
     )
+
+
+def try_photos(device: Device, files: Sequence[Path], size: int) -> Trial | None:
+    """Find and match the features of photos as ``clgs prepare`` does; None if none can be read.
+
+    ``size``: longer side of the largest photo, pixels.
+
+    Raises:
+        DataError: OpenCV cannot be loaded.
+    """
+    cv2, began = opencv("features"), time.perf_counter()
+
+    def search(photo: Path) -> Bytes | None:
+        try:
+            return find_features(cv2, photo, None, size, MAX_DESCRIPTORS)[1]
+        except DataError:  # it is named when all are read
+            return None
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        found = [one for one in pool.map(search, files) if one is not None]
+    if not found:
+        return None
+    seconds = (time.perf_counter() - began) * min(THREADS, len(files)) / len(found)
+    largest = [one[:FIRST_FEATURES] for one in found]
+    uploaded, pairs = upload(device, largest), all_pairs(len(found))
+    mutual_matches(device, uploaded, largest, pairs[:1], MAX_RATIO)  # builds the kernel
+    began = time.perf_counter()
+    mutual_matches(device, uploaded, largest, pairs, MAX_RATIO)
+    taken = (time.perf_counter() - began) * used_cores(THREADS)
+    products = sum(len(largest[a]) * len(largest[b]) for a, b in pairs)
+    features = float(np.mean([len(one) for one in found]))
+    return Trial(features, seconds, taken / products if products else PRODUCT_SECONDS)
 
 
 OFF = 0.3

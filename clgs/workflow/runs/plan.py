@@ -35,15 +35,15 @@ MOST_STEPS = 30_000
 LEAST_STEPS = 300
 """Fewer give nothing that is worth looking at."""
 
-PHOTO_SECONDS, PIXEL_SECONDS = 0.02, 0.22e-6
-"""Seconds of one core for the features of a photo, and per pixel that is searched."""
+PHOTO_SECONDS, PIXEL_SECONDS, FEATURE_SECONDS = 0.02, 0.11e-6, 52e-6
+"""Seconds of one core for the features of a photo, per pixel that is searched, and per feature."""
 
-FEATURES_PER_PIXEL = 2.6e-3
-"""Features per pixel that is searched."""
+FEATURES_PER_PIXEL = 2.4e-3
+"""Features per pixel that is searched, of photos that were not tried."""
 
 PAIR_SECONDS, PRODUCT_SECONDS, GEOMETRY_SECONDS = 0.004, 3.2e-9, 0.02
 """Seconds of one core per pair of photos, for the cheap look; per product of a feature of one with
-a feature of the other; and for the geometry of the pair."""
+a feature of the other, if none was tried; and for the geometry of the pair."""
 
 MAPPING_SECONDS, MAPPING_GROWTH = {True: 0.28, False: 0.5}, 400
 """Seconds per photo of FIRST_FEATURES of mappers, which use one core, for one reconstruction or for
@@ -92,10 +92,23 @@ FRAME_STEPS = 0.7
 
 
 @dataclass(frozen=True)
+class Trial:
+    """What a few photos of a run tell of all.
+
+    features: that a photo has; seconds: of one core, to find them; product: seconds of one core per
+    product of a feature of a photo with one of another.
+    """
+
+    features: float
+    seconds: float
+    product: float
+
+
+@dataclass(frozen=True)
 class Photos:
     """The photos of a run: their number, the size of the first, if they are synthetic, masks.
 
-    meaning: what the masks mean, "ignore" or "object".
+    meaning: what the masks mean, "ignore" or "object"; trial: if some were tried.
     """
 
     count: int
@@ -104,6 +117,7 @@ class Photos:
     synthetic: bool = False
     masks: int = 0
     meaning: str = IGNORE
+    trial: Trial | None = None
 
     def masks_in_words(self) -> str:
         """What is made of the masks, and the option that changes it; empty if there are none."""
@@ -229,21 +243,32 @@ class PosesTime:
 
 def poses_time(photos: Photos, cores: int, quick: bool) -> PosesTime:
     """What structure from motion usually takes for photos of about one size."""
-    count, size, cores = photos.count, max(photos.width, photos.height), max(1, min(cores, 8))
-    shrink = min(2.0, FINEST_SIZE / size)
-    pixels = photos.width * photos.height
-    found = min(FEATURES_PER_PIXEL * pixels * shrink**2, QUICK_FEATURES if quick else MAX_FEATURES)
+    count, cores = photos.count, used_cores(cores)
+    shrink = min(2.0, FINEST_SIZE / max(photos.width, photos.height))
+    searched = photos.width * photos.height * shrink**2
+    found, product, pace = FEATURES_PER_PIXEL * searched, PRODUCT_SECONDS, 1.0
+    search = PHOTO_SECONDS + PIXEL_SECONDS * searched
+    if (trial := photos.trial) is not None:
+        found, product = trial.features, trial.product
+        pace = trial.seconds / (search + FEATURE_SECONDS * found)
+    features = count * pace * (search + FEATURE_SECONDS * found)
+    found = min(found, QUICK_FEATURES if quick else MAX_FEATURES)
     used = found if count <= MAX_FULL else min(found, FIRST_FEATURES)
     pairs = count * (count - 1) / 2 if count <= MAX_EXHAUSTIVE else MOST_PAIRS * count
-    features = count * (PHOTO_SECONDS + PIXEL_SECONDS * pixels * shrink**2)
     once = quick or (cores > 1 and fit_together(count))  # the second one is made meanwhile
     mapping = MAPPING_SECONDS[once] * used / FIRST_FEATURES + count / MAPPING_GROWTH
     written = WRITTEN_SECONDS * photos.at(SIZES[0])
+    other = pairs * GEOMETRY_SECONDS / cores + count * (mapping + written)
     return PosesTime(
         features / cores,
-        pairs * (PAIR_SECONDS + PRODUCT_SECONDS * used**2) / cores,
-        FIXED_SECONDS + pairs * GEOMETRY_SECONDS / cores + count * (mapping + written),
+        pairs * (pace * PAIR_SECONDS + product * used**2) / cores,
+        FIXED_SECONDS + pace * other,
     )
+
+
+def used_cores(cores: int) -> int:
+    """How many of ``cores`` structure from motion has use for."""
+    return max(1, min(cores, 8))
 
 
 def prepare_seconds(photos: Photos, cores: int, quick: bool) -> float:

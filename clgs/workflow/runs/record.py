@@ -23,6 +23,9 @@ from clgs.workflow.scenes import PLAN
 DATA = "data"
 """The data set in the output folder, if poses had to be found."""
 
+TRIED = 4
+"""Photos whose features are found and matched before a run is planned."""
+
 RUN = "run"
 """The run folder of training in the output folder."""
 
@@ -33,7 +36,7 @@ class RunInput:
 
     posed: it is a data set, so that no poses have to be found; pointless: one without points, which
     are found before training; video: the photos are frames of one; digest: changes if photos are
-    added, removed or replaced, "" for a data set.
+    added, removed or replaced, "" for a data set; tried: photos of which the time for all is told.
     """
 
     path: Path
@@ -42,6 +45,7 @@ class RunInput:
     pointless: bool = False
     video: bool = False
     digest: str = ""
+    tried: tuple[Path, ...] = ()
 
     @property
     def complete(self) -> bool:
@@ -74,7 +78,10 @@ def find_input(path: Path) -> RunInput:
     masks = [one.mask for one in found.collection.photos]
     given, meaning = sum(mask is not None for mask in masks), meaning_of(masks)
     photos = Photos(len(sizes), *sizes[0], masks=given, meaning=meaning)
-    return RunInput(path, False, photos, digest=digest)
+    files = [one.path for one in found.collection.photos]
+    around = len(sizes) != len(files)  # some are cut into views
+    tried = [] if around else [files[k * len(files) // TRIED] for k in range(TRIED)]
+    return RunInput(path, False, photos, digest=digest, tried=tuple(dict.fromkeys(tried)))
 
 
 def measure_data(folder: Path) -> Photos:
@@ -100,7 +107,7 @@ class RunRecord:
         digest: as in :class:`RunInput`.
         time: seconds that it was planned for.
         settings: of training; empty until it is planned.
-        plan: the fields of the :class:`TrainingPlan`.
+        plan: the fields of the :class:`TrainingPlan`, and title and hurry.
         seconds: that each stage took, over all calls.
         made: bytes of the files that the stages made, by name.
     """

@@ -161,10 +161,11 @@ def run(
         shown = replace(shown, title=title)
         stages = RunStages(output, record, seed or 0, device, on_event, begun=found is not None)
         planner = _Planner(stages, on_event, allowed, steps, max_size, shown)
-        training = None
+        training, hurry = None, record.plan.get("hurry")
         if not record.settings:
-            plan = planner.plan(given)
-            training = plan.training
+            plan = planner.plan(given, hurry)
+            given, training, hurry = plan.input, plan.training, plan.hurry
+            record.plan["hurry"] = hurry
             on_event(StageRecord(plan))
         if found is None:
             _check_apart(given.path, output)
@@ -174,9 +175,8 @@ def run(
             stages.begin(kept=() if found is None else (DATA,))
         data = given.path
         if not given.posed:
-            hurry = must_hurry(given.photos, CORES, allowed)
-            follow = on_event if training is None else planner.follow(given.photos, hurry)
-            data = stages.prepare(given, hurry, max_size, follow)
+            follow = on_event if training is None else planner.follow(given.photos, bool(hurry))
+            data = stages.prepare(given, bool(hurry), max_size, follow)
         if training is not None:
             posed = _measured(given, data, settings or {}, on_event)
             if not given.complete:
@@ -255,7 +255,8 @@ def _planned_for(found: RunRecord, seconds: float | None, on_event: OnEvent) -> 
     if seconds in (None, found.time):
         return found
     on_event(Note("the poses are kept; training is planned again and starts over"))
-    return replace(found, time=seconds, settings={}, made={})
+    plan = {name: value for name, value in found.plan.items() if name != "hurry"}
+    return replace(found, time=seconds, settings={}, made={}, plan=plan)
 
 
 def _record(given: RunInput, allowed: float) -> RunRecord:
@@ -291,8 +292,12 @@ class _Planner:
     speed: StepSpeed | None = None
     """That of the last measurement."""
 
-    def plan(self, given: RunInput) -> RunPlan:
-        hurry = must_hurry(given.photos, CORES, self.allowed)
+    def plan(self, given: RunInput, hurry: bool | None = None) -> RunPlan:
+        """The plan before anything is done. ``hurry``: whether poses are tested if it is known."""
+        with self.stages.timed("plan"):
+            given = replace(given, photos=self.stages.try_photos(given))
+        if hurry is None:
+            hurry = must_hurry(given.photos, CORES, self.allowed)
         if given.complete:
             training = self.plan_training(given.photos, 0.0, given.path)
         else:

@@ -8,7 +8,7 @@ import shutil
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import cached_property, partial
 from importlib.util import find_spec
 from math import ceil
@@ -28,7 +28,7 @@ from clgs.workflow.export import export
 from clgs.workflow.options import FPS, FRAMES, PathOptions, ViewOptions
 from clgs.workflow.pictures import render_clip
 from clgs.workflow.prepare import prepare_data
-from clgs.workflow.runs.clocks import speed_on, synthetic_speed
+from clgs.workflow.runs.clocks import speed_on, synthetic_speed, try_photos
 from clgs.workflow.runs.plan import (
     SIZES,
     SKETCH_STEPS,
@@ -91,6 +91,15 @@ class RunStages:
         if data is None:
             return synthetic_speed(self.device)
         return speed_on(self.device, data, photos, self.run_folder, self.seed, self._on_event)
+
+    def try_photos(self, given: RunInput) -> Photos:
+        """The photos of a run with what a few of them tell, if their poses are wanted."""
+        photos = given.photos
+        if not given.tried:
+            return photos
+        self._on_event(Note(f"trying {len(given.tried)} of the photos"))
+        size = max(photos.width, photos.height)
+        return replace(photos, trial=try_photos(self.device, given.tried, size))
 
     def begin(self, kept: Collection[str]) -> None:
         """Write the record, and remove the files of an earlier run but those of these names."""

@@ -117,14 +117,16 @@ def test_nothing_is_found_in_masked_and_in_flat_parts(picture):
     assert (flat.shape, descriptors.shape) == ((0, 6), (0, 128))
 
 
-@pytest.mark.parametrize("shrink", [1.0, 0.5])
-def test_a_reduced_photo_has_its_features_in_pixels_of_the_whole(picture, tmp_path, shrink):
+@pytest.mark.parametrize("largest", [640, features.FINEST_SIZE])
+def test_a_reduced_photo_has_its_features_in_pixels_of_the_whole(picture, tmp_path, largest):
     large = Image.fromarray(picture).resize((640, 480), Image.Resampling.BICUBIC)
     large.save(tmp_path / "a.png")
     mask = np.zeros((480, 640), np.uint8)
     mask[:, 200:] = 255
     Image.fromarray(mask).save(tmp_path / "mask.png")
-    keypoints, _ = features._find(cv2, tmp_path / "a.png", tmp_path / "mask.png", shrink, MANY)
+    keypoints, _ = features.find_features(
+        cv2, tmp_path / "a.png", tmp_path / "mask.png", largest, MANY
+    )
     plain, _ = features.find_sift(cv2, picture, None, MANY)
     _, difference = nearest(plain[plain[:, 0] > 110, :2] * 2, keypoints[:, :2])
     near = np.abs(difference).max(axis=1) < 1
