@@ -20,7 +20,8 @@ from clgs.opencl.device import Device
 from clgs.poses.unfinished import Finished
 
 STAGES = (
-    *("read", "features", "matches", "geometry", "poses", "other poses", "second look"),
+    *("read", "features", "looks", "matches", "all features", "geometry"),
+    *("poses", "other poses", "second look"),
     *("more poses", "check", "points", "undistort", "masks", "report"),
 )
 """The stages of ``prepare`` in order; some reconstructions skip some of them."""

@@ -101,6 +101,19 @@ def test_slow_matches_are_said_after_fast_features():
     assert second == (pytest.approx(30.0), pytest.approx(70.0 + 30.0 * 70 / 30))
 
 
+def test_pairs_that_show_nothing_do_not_count_as_matched():
+    now, said = 0.0, list[tuple[float, float]]()
+    clock = PosesClock(PLANNED, lambda *one: said.append(one), ignore, clock=lambda: now)
+    for stage, done, seconds in (
+        *(("features", 0, 10.0), ("features", 50, 10.0), ("features", 100, 0.0)),
+        *(("looks", 0, 2.0), ("looks", 100, 0.0)),
+        *(("matches", 60, 7.0), ("matches", 70, 0.0)),  # a quarter of those that are left
+    ):
+        clock(StageProgress(stage, done, 100))
+        now += seconds
+    assert said == [(pytest.approx(60.0), pytest.approx(100.0))]  # 20 + 2 + 28, and as much again
+
+
 def test_training_is_planned_again_and_shown_at_once():
     stages = SimpleNamespace(
         timed=lambda name: nullcontext(), measure_speed=lambda photos, data: StepSpeed(0.02, 1e-7)

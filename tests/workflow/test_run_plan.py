@@ -19,6 +19,7 @@ from clgs.workflow.runs.plan import (
     FEATURES_PER_PIXEL,
     FIXED_SECONDS,
     FRAMES,
+    KEPT,
     LATER_SECONDS,
     LATER_STEPS,
     LEAST_STEPS,
@@ -134,7 +135,7 @@ def test_a_trial_tells_of_features_and_of_the_machine():
     photos = Photos(60, 800, 600)
     usual = poses_time(photos, 2, False)
     found = FEATURES_PER_PIXEL * 1600 * 1200  # photos are searched at twice their size
-    search = 2 * usual.features / 60
+    search = 2 * usual.features / 60 / KEPT
     tried = [
         replace(photos, trial=Trial(*one))
         for one in (

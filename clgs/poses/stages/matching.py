@@ -95,15 +95,8 @@ def _find(
     """
     if len(workspace.names) <= MAX_FULL:
         first = MAX_DESCRIPTORS
-    workspace.on_progress("matches", 0, len(pairs))
     alike = pairs_alike(workspace, pairs)
-    done = len(pairs) - len(alike)
-
-    def count(matched: int) -> None:
-        nonlocal done
-        done += matched
-        workspace.on_progress("matches", min(done, len(pairs)), len(pairs))
-
+    count = _counter(workspace, "matches", len(pairs) - len(alike), len(pairs))
     found = _match(workspace, alike, MAX_RATIO, count, first)
     best = defaultdict[int, list[int]](list)
     for pair, matches in found.items():
@@ -118,10 +111,23 @@ def _find(
         numbers = workspace.ids(database)
         rich = [database.num_keypoints_for_image(one) > first for one in numbers]
     again = [(a, b) for a, b in alike if thin & {a, b} and (rich[a] or rich[b])]
-    done -= len(again)
-    found |= _match(workspace, again, MAX_RATIO, count)
+    if again:
+        count = _counter(workspace, "all features", 0, len(again))
+        found |= _match(workspace, again, MAX_RATIO, count)
     shortened = any(rich[a] or rich[b] for a, b in set(alike).difference(again))
     return _write(workspace, found), shortened
+
+
+def _counter(workspace: Workspace, stage: str, done: int, total: int) -> Callable[[int], None]:
+    """Report that ``done`` of the pairs of a stage are matched, and then how many more are."""
+
+    def count(more: int) -> None:
+        nonlocal done
+        done += more
+        workspace.on_progress(stage, done, total)
+
+    count(0)
+    return count
 
 
 def match_in_full(workspace: Workspace, pairs: Sequence[Pair]) -> None:
@@ -143,6 +149,7 @@ def pairs_alike(workspace: Workspace, pairs: Sequence[Pair]) -> list[Pair]:
             chosen.append(database.read_descriptors(number).data[largest])
             shapes.append(shape[largest])
     uploaded = nearest_descriptors.upload(device, chosen)
+    count = _counter(workspace, "looks", 0, len(pairs))
     alike = []
     for start in range(0, len(pairs), LOOK_BATCH):
         some = pairs[start : start + LOOK_BATCH]
@@ -154,6 +161,7 @@ def pairs_alike(workspace: Workspace, pairs: Sequence[Pair]) -> list[Pair]:
             near = (turn <= SAME_TURN) & (np.abs(between[..., 1]) <= SAME_SCALE)
             if near.sum(1).max(initial=0) >= MIN_ALIKE:  # those that agree with one of them
                 alike.append((a, b))
+        count(len(some))
     return alike
 
 
@@ -271,15 +279,10 @@ def match_again(workspace: Workspace, left_out: list[int]) -> None:
                 database.delete_matches(first, second)
             if database.exists_two_view_geometry(first, second):
                 database.delete_two_view_geometry(first, second)
-    stage, done = "second look", 0
-
-    def count(matched: int) -> None:
-        nonlocal done
-        done += matched
-        workspace.on_progress(stage, done, len(pairs))
+    stage = "second look"
 
     def find() -> list[tuple[int, int]]:
-        count(0)
+        count = _counter(workspace, stage, 0, len(pairs))
         return _write(workspace, _match(workspace, pairs, LOOSE_RATIO, count))
 
     strong = workspace.matches(stage, find)

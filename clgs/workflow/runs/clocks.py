@@ -186,8 +186,8 @@ def try_photos(device: Device, files: Sequence[Path], size: int) -> Trial | None
 OFF = 0.3
 """A plan is made again if the poses take this share more or less than was said."""
 
-ENOUGH = {"features": 0.04, "matches": 0.5}
-"""Shares of these stages after which their time is known; pairs that show nothing come first."""
+ENOUGH = {"features": 0.04, "matches": 0.2}
+"""Shares of these stages after which their time is known."""
 
 
 class PosesClock:
@@ -217,14 +217,18 @@ class PosesClock:
     def __call__(self, event: Event) -> None:
         """Pass an event on; one of a stage may tell how long it takes."""
         self._on_event(event)
-        if not isinstance(event, StageProgress) or event.stage not in ENOUGH:
+        if not isinstance(event, StageProgress):
             return
         stage, now = event.stage, self._clock()
         first, began = self._began.setdefault(stage, (event.done, now))
-        enough = event.done - first >= ENOUGH[stage] * event.total
-        if stage in self._found or event.done == first or not enough:
+        if stage not in ENOUGH or stage in self._found or event.done == first:
             return
-        self._found[stage] = (now - began) * event.total / (event.done - first)
+        total, before = event.total, 0.0
+        if stage == "matches":  # the first pairs are those that showed nothing at a cheap look
+            total, before = total - first, began - self._began.get("looks", (0, began))[1]
+        if event.done - first < ENOUGH[stage] * total:
+            return
+        self._found[stage] = before + (now - began) * total / (event.done - first)
         # What is not known yet is taken to differ from the plan as what is known.
         plan = {"features": self._planned.features, "matches": self._planned.matches}
         planned, known = sum(plan[each] for each in self._found), sum(self._found.values())

@@ -38,6 +38,9 @@ LEAST_STEPS = 300
 PHOTO_SECONDS, PIXEL_SECONDS, FEATURE_SECONDS = 0.02, 0.11e-6, 52e-6
 """Seconds of one core for the features of a photo, per pixel that is searched, and per feature."""
 
+KEPT = 1.2
+"""Finding features and writing them into the database takes this many times the search."""
+
 FEATURES_PER_PIXEL = 2.4e-3
 """Features per pixel that is searched, of photos that were not tried."""
 
@@ -52,7 +55,7 @@ two; a second more per this number of photos."""
 WRITTEN_SECONDS = 0.08e-6
 """Seconds per pixel that is undistorted and written."""
 
-FIXED_SECONDS = 5.0
+FIXED_SECONDS = 2.5
 
 MOST_PAIRS = 19
 """About this many pairs per photo are matched in sets of more than MAX_EXHAUSTIVE photos."""
@@ -251,7 +254,7 @@ def poses_time(photos: Photos, cores: int, quick: bool) -> PosesTime:
     if (trial := photos.trial) is not None:
         found, product = trial.features, trial.product
         pace = trial.seconds / (search + FEATURE_SECONDS * found)
-    features = count * pace * (search + FEATURE_SECONDS * found)
+    features = count * KEPT * pace * (search + FEATURE_SECONDS * found)
     found = min(found, QUICK_FEATURES if quick else MAX_FEATURES)
     used = found if count <= MAX_FULL else min(found, FIRST_FEATURES)
     pairs = count * (count - 1) / 2 if count <= MAX_EXHAUSTIVE else MOST_PAIRS * count

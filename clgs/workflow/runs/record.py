@@ -36,7 +36,7 @@ class RunInput:
 
     posed: it is a data set, so that no poses have to be found; pointless: one without points, which
     are found before training; video: the photos are frames of one; digest: changes if photos are
-    added, removed or replaced, "" for a data set; tried: photos of which the time for all is told.
+    added, removed or replaced, "" for a data set; tried: photos that tell the time of all.
     """
 
     path: Path

@@ -72,7 +72,8 @@ def test_any_device_and_number_of_processes_finds_the_same(workspace, monkeypatc
         for number, arrays in results[0].items():
             assert all(map(np.array_equal, arrays, other[number]))
     own = len(progress) // 3
-    assert progress[0] == ("matches", 0, PAIRS)
+    assert progress[0] == ("looks", 0, PAIRS)
+    assert progress[1:3] == [("looks", PAIRS, PAIRS), ("matches", 0, PAIRS)]
     assert ("matches", PAIRS, PAIRS) in progress[:own]
     assert progress[-1] == ("geometry", PAIRS, PAIRS)
 
