@@ -13,6 +13,9 @@ from clgs.arguments import check_range, check_type
 from clgs.constants import ALPHA_CUT, TRANSMITTANCE_STOP
 from clgs.errors import UsageError
 
+BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
+"""Colors of the fixed backgrounds."""
+
 MAX_LAYERS = 64
 """The most layers of a file."""
 

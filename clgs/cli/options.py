@@ -21,11 +21,11 @@ from clgs.arguments import (
 )
 from clgs.data.reduction import MAX_SIZE, MEANINGS
 from clgs.errors import UsageError
-from clgs.options import PRESETS
+from clgs.options import BACKGROUNDS, PRESETS
 from clgs.train.config import TrainConfig, layered, parse_word, read_settings
 from clgs.train.config.option import Option, Pair, Range, Text, options_of
 from clgs.train.config.run_settings import FULL_STEPS
-from clgs.workflow.options import BACKGROUNDS, ViewOptions
+from clgs.workflow.options import ViewOptions
 
 MAX_SIDE = 16384
 """Pixels of a side of a rendered picture, at most."""

@@ -31,9 +31,9 @@ def kernel_root() -> Traversable:
 
 
 def program_files() -> list[str]:
-    """Files of all programs, relative to the root, such as "blend/blend.cl"."""
-    rooms = [entry for entry in kernel_root().iterdir() if entry.is_dir()]
-    files = [f"{room.name}/{file.name}" for room in rooms for file in room.iterdir()]
+    """Files of all programs, relative to the root, such as "scan/fits.cl"."""
+    folders = [entry for entry in kernel_root().iterdir() if entry.is_dir()]
+    files = [f"{folder.name}/{file.name}" for folder in folders for file in folder.iterdir()]
     return sorted(name for name in files if name.endswith(".cl"))
 
 

@@ -36,7 +36,7 @@ from clgs.data.masks import MASKS, USED, Mask, read_mask, save_mask, whole
 from clgs.errors import DataError
 from clgs.poses.find import Collection, Found, find_photos, is_video
 from clgs.poses.gps import GPS
-from clgs.poses.video import extract_frames, video_library
+from clgs.poses.video import JPEG_QUALITY, extract_frames, video_library
 
 VIEW = 90.0
 DIRECTIONS = (
@@ -120,7 +120,6 @@ def _angles(
 
 
 LEAST_PHOTOS = 3
-JPEG_QUALITY = 95
 DEFAULT_FRAMES = 100
 """Frames that are taken from a video."""
 

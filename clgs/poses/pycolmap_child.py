@@ -213,7 +213,7 @@ def import_problem(module: str) -> str:
     Returns:
         Why the import fails, in a few words; empty if it works.
     """
-    # Pillow first, as in pycolmap_lazy.
+    # Pillow first, as before every import of pycolmap.
     code = f"import sys; sys.path[:] = {sys.path!r}; import PIL.Image; import {module}"
     try:
         done = subprocess.run(

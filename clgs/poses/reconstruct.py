@@ -33,7 +33,7 @@ from clgs.poses.known import (
     to_given_world,
 )
 from clgs.poses.pycolmap_child import CrashError, OnStage, quiet_pycolmap, run_child
-from clgs.poses.stages.check import Check
+from clgs.poses.stages.check import SecondReconstruction
 from clgs.poses.stages.features import extract
 from clgs.poses.stages.mapping import ask_all_mappers, look_again, map_photos
 from clgs.poses.stages.matching import match, match_in_full, read_evidence
@@ -41,10 +41,9 @@ from clgs.poses.stages.more_points import STAGE, add_points
 from clgs.poses.stages.pairs import pairs_to_match
 from clgs.poses.unfinished import Finished
 from clgs.poses.verdict import Verdict, point_figures, verdict_of
+from clgs.poses.video import JPEG_QUALITY
 from clgs.poses.workspace import OnProgress, Workspace
 from clgs.scene.world import EARTH, LOCAL, NOWHERE, Place, to_text
-
-JPEG_QUALITY = 95
 
 LEAST_ROOM = 1 << 20
 """Bytes; a failure with less free space is blamed on the disk."""
@@ -102,7 +101,7 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
         finished.begin(stage)
         on_stage([stage, done, total])
 
-    with quiet_pycolmap(_TASK) as pycolmap, Check() as check:
+    with quiet_pycolmap(_TASK) as pycolmap, SecondReconstruction() as check:
         own_names, cameras, size = _number_photos(work, known.photos if apart else ())
         masks = work / "numbered_masks" if (work / MASKS).is_dir() else None
         workspace = Workspace(
@@ -161,7 +160,7 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
 def _match_and_map(
     workspace: Workspace,
     known: Known,
-    check: Check | None,
+    check: SecondReconstruction | None,
     notes: list[str],
 ) -> tuple[Workspace, ModelChoice, bool]:
     """Match the photos and find a model.

@@ -36,6 +36,7 @@ WHOLE = 0.95
 """A warning says so if a video ends before this share of its length."""
 
 JPEG_QUALITY = 95
+"""Photos and frames are written with this quality."""
 
 _ONLY_FILES = ["-protocol_whitelist", "file", "-nostdin"]
 """A video may name other files, even in the network; ffmpeg must not open them."""

@@ -153,7 +153,7 @@ class SceneGradients:
 
 
 @dataclass(frozen=True)
-class SplatGradients:
+class StoredGradients:
     """Gradients of the loss, float32: by the arrays of the ordinary Gaussians, and d_projected."""
 
     d_stored: DeviceGaussians

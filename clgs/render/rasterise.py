@@ -37,7 +37,7 @@ from clgs.render.frame import (
     RenderedView,
     Room,
     SceneGradients,
-    SplatGradients,
+    StoredGradients,
 )
 from clgs.scene.gaussians import DeviceGaussians, OrdinaryGaussians
 
@@ -171,7 +171,7 @@ def rasterise_backward(
     frame: RenderedView,
     d_image: DeviceArray,
     volume_weight: float = 0.0,
-) -> SplatGradients: ...
+) -> StoredGradients: ...
 
 
 def rasterise_backward(
@@ -180,7 +180,7 @@ def rasterise_backward(
     frame: RenderedView,
     d_image: DeviceArray,
     volume_weight: float = 0.0,
-) -> SceneGradients | SplatGradients:
+) -> SceneGradients | StoredGradients:
     """Gradients of ``sum(d_image * image) + volume_weight * mean(prod(scale))``.
 
     ``frame`` is what :func:`rasterise` made of ``scene``; ``d_image``: (3, H, W) float32. The mean
@@ -204,7 +204,7 @@ def rasterise_backward(
     if isinstance(scene, OrdinaryGaussians):
         with device.stage("splats backward"):
             d_stored = splats.backward(device, scene, camera, gaussians, d_gaussians)
-        return SplatGradients(d_stored, d_projected)
+        return StoredGradients(d_stored, d_projected)
     if not isinstance(frame, Frame):
         raise ValueError("frame: it is of ordinary Gaussians, but the scene is one of anchors")
     with device.stage("neural backward"):

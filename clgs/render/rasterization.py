@@ -20,8 +20,8 @@ from clgs.ops.general import harmonics, views
 from clgs.options import DEFAULT, RenderOptions
 from clgs.render import channel_picture
 from clgs.render.splat_arguments import Floats, check_arguments, checked_lens
-from clgs.render.splat_meta import Meta, meta_of
-from clgs.render.splat_record import SMALLEST_ALPHA, Record, View
+from clgs.render.splat_meta import RasterizationMeta, meta_of
+from clgs.render.splat_record import SMALLEST_ALPHA, Record, RecordedView
 
 ALPHA_MAX = 0.999
 """Where alpha saturates, as in gsplat; training keeps ``clgs.constants.ALPHA_MAX``."""
@@ -81,7 +81,7 @@ def rasterization(  # noqa: PLR0913  gsplat's arguments
     alpha_max: float = ALPHA_MAX,
     options: RenderOptions = DEFAULT,
     **later: object,
-) -> tuple[Floats, Floats, Meta]:
+) -> tuple[Floats, Floats, RasterizationMeta]:
     """Draw N Gaussians as C cameras see them; ``...`` are batches of both.
 
     Camera axes are OpenCV's: x right, y down, z forward; pixel centres lie at +0.5. Arrays are
@@ -169,7 +169,7 @@ def _draw(
     number: int,
     alpha_max: float,
     options: RenderOptions,
-) -> View:
+) -> RecordedView:
     """Draw what camera ``number`` of a batch sees."""
     device, given, lens, size = record.device, record.given, record.lens, record.size
     with_depth, shows_colors = record.render_mode != "RGB", "RGB" in record.render_mode
@@ -205,7 +205,7 @@ def _draw(
     alpha = device.download(drawn.picture.alpha)[..., None]
     if "ED" in record.render_mode:
         image[..., -1:] /= np.maximum(alpha, SMALLEST_ALPHA)
-    return View(splats, camera, stored, drawn, image, alpha)
+    return RecordedView(splats, camera, stored, drawn, image, alpha)
 
 
 def _on_device(record: Record, name: str, host: Floats) -> DeviceArray:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from clgs.arguments import check_type
 from clgs.constants import UNIT_OPACITY
 from clgs.opencl.device import Device
-from clgs.ops.general.views import Lens
+from clgs.ops.general.views import CameraModel
 from clgs.options import RenderOptions
 
 UNDISTORT = "undistort the photos before"
@@ -53,7 +53,7 @@ REFUSED_LATER: dict[str, tuple[Any, str]] = {
 """The same of those that only gsplat 1.6 has."""
 
 
-def checked_lens(given: dict[str, Any]) -> Lens:
+def checked_lens(given: dict[str, Any]) -> CameraModel:
     """The camera that arguments of ``rasterization`` describe, by their names.
 
     Raises:
@@ -78,7 +78,7 @@ def checked_lens(given: dict[str, Any]) -> Lens:
     if given["rasterize_mode"] not in ("classic", "antialiased"):
         mode = given["rasterize_mode"]
         raise ValueError(f"rasterize_mode: {mode!r} is not 'classic' or 'antialiased'")
-    return Lens(
+    return CameraModel(
         model=given["camera_model"],
         compensated=given["rasterize_mode"] == "antialiased",
         blur=given["eps2d"],

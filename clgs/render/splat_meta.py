@@ -20,7 +20,7 @@ from clgs.ops.tiles import tile_count
 from clgs.render.channel_picture import Drawn, lists_of
 
 
-class Meta(MutableMapping[str, Any]):
+class RasterizationMeta(MutableMapping[str, Any]):
     """A dictionary whose arrays are made at first use; see :func:`meta_of` for its keys."""
 
     def __init__(self, known: dict[str, Any], makers: dict[str, Callable[[], Any]]) -> None:
@@ -72,7 +72,7 @@ def meta_of(
     size: tuple[int, int],
     packed: bool,
     radii: Callable[[], npt.NDArray[np.int32]] | None = None,
-) -> Meta:
+) -> RasterizationMeta:
     """Describe pictures, batches first, of ``count`` Gaussians each.
 
     With ``packed`` the arrays list what is drawn, M rows, and batch_ids, camera_ids and
@@ -132,7 +132,7 @@ def meta_of(
         "flatten_ids": lambda: lists.entries()[1],
         "isect_offsets": lambda: lists.offsets().reshape(*batch, cameras, rows, columns),
     }
-    return Meta(known, makers)
+    return RasterizationMeta(known, makers)
 
 
 class _Lists:

@@ -23,7 +23,7 @@ BY_CAMERA = ("viewmats", "backgrounds", "means2d", "absgrad")
 
 
 @dataclass(frozen=True)
-class View:
+class RecordedView:
     """One picture: of which Gaussians, by which camera, and what was drawn.
 
     harmonics: (N, K, 3) on the device, None if colors are colors; image (H, W, X) and alpha
@@ -47,13 +47,13 @@ class Record:
 
     device: Device
     given: SplatArguments
-    lens: views.Lens
+    lens: views.CameraModel
     sh_degree: int | None
     render_mode: str
     absgrad: bool
     size: tuple[int, int]
     lent: dict[str, DeviceArray]
-    views: list[View]
+    views: list[RecordedView]
 
     def backward(self, d_colors: Floats, d_alphas: Floats | None = None) -> dict[str, Floats]:
         """Gradients of ``sum(d_colors * colors) + sum(d_alphas * alphas)``.
@@ -104,7 +104,9 @@ class Record:
         sums = {name: _joined(parts[name], (b, *shape)) for name, shape in shapes.items()}
         return self._in_shape(sums)
 
-    def _view_gradients(self, view: View, d_image: Floats, d_alpha: Floats) -> dict[str, Any]:
+    def _view_gradients(
+        self, view: RecordedView, d_image: Floats, d_alpha: Floats
+    ) -> dict[str, Any]:
         """What one picture contributes, by the names of :meth:`backward`."""
         device, drawn, given = self.device, view.drawn, self.given
         if "ED" in self.render_mode:

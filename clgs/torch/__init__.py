@@ -22,7 +22,7 @@ from torch import Tensor
 
 from clgs.ops.project import Projected
 from clgs.render.rasterization import rasterization as rasterization_of_numpy
-from clgs.render.splat_meta import Meta, meta_of
+from clgs.render.splat_meta import RasterizationMeta, meta_of
 from clgs.render.splat_record import SMALLEST_ALPHA
 from clgs.torch.anchors import DecodedAnchors as DecodedAnchors
 from clgs.torch.anchors import decode_anchors as decode_anchors
@@ -95,7 +95,7 @@ def spherical_harmonics(
 
 @eager
 @wraps(rasterization_of_numpy, assigned=())
-def rasterization(*arguments: Any, **others: Any) -> tuple[Tensor, Tensor, Meta]:
+def rasterization(*arguments: Any, **others: Any) -> tuple[Tensor, Tensor, RasterizationMeta]:
     """Draw Gaussians as cameras see them; arguments as of :func:`clgs.rasterization`, of tensors.
 
     Gradients flow to means, quats and scales or covars, opacities, colors, viewmats and
@@ -167,7 +167,7 @@ def _meta(
     depths: Tensor,
     whitening: Tensor,
     opacities: Tensor,
-) -> Meta:
+) -> RasterizationMeta:
     """The third result: tensors, of which those of the tile lists are made when asked for."""
     batch, count = call.given.batch, call.given.means.shape[1]
     cameras = call.given.viewmats.shape[1]
@@ -199,4 +199,4 @@ def _meta(
         "conics": lambda: shaped(conics_of(whitening)),
     }
     known = {name: host[name] for name in host if name not in makers and name != "means2d"}
-    return Meta({**known, "means2d": means2d}, makers)
+    return RasterizationMeta({**known, "means2d": means2d}, makers)

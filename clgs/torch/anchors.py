@@ -130,7 +130,7 @@ def rate(x: Tensor, q: float, form: rate_op.Form = "channel") -> Tensor:
     if not x.ndim:
         raise ValueError("x: shape is (), expected (rows, ...)")
     _check_scale(q)
-    result: Tensor = Rate.apply(x, q, form)
+    result: Tensor = RateFunction.apply(x, q, form)
     return result
 
 
@@ -196,7 +196,7 @@ class Quantize(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
         return d[0], None
 
 
-class Rate(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
+class RateFunction(torch.autograd.Function):  # type: ignore[misc]  # torch is Any
     """Bits per row of the symbols rint(x q)."""
 
     @staticmethod

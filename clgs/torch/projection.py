@@ -41,7 +41,7 @@ def bound_arguments(*arguments: Any, **others: Any) -> dict[str, Any]:
 def checked_call(
     given: dict[str, Any], reach: float | None = None
 ) -> tuple[ViewsCall, list[Tensor | None]]:
-    """Check the arguments of ``rasterization``; ``reach``: as of ``Lens``.
+    """Check the arguments of ``rasterization``; ``reach``: see ``CameraModel``.
 
     Returns:
         What the call shares, and what :class:`Project` takes last: means, quats, scales,

@@ -39,7 +39,7 @@ class ViewsCall:
 
     device: Device
     given: SplatArguments
-    lens: views.Lens
+    lens: views.CameraModel
     size: tuple[int, int]
     options: RenderOptions
     packed: bool

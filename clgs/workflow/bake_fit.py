@@ -29,12 +29,10 @@ from clgs.reference.project import rotation_matrix
 from clgs.render.frame import EXACT_ROOM, DeviceScene, DeviceView
 from clgs.render.rasterise import blend_backward, rasterise, rasterise_backward, with_enough_room
 from clgs.scene.gaussians import HostGaussians, OrdinaryGaussians
+from clgs.train.quality.importance import LEAST_WEIGHT
 
 RIDGE = 0.02
 """Ridge of a coefficient, in units of the mean of w b^2."""
-
-LEAST_WEIGHT = 0.3
-"""Pixels: Gaussians that contribute less to every view are left out."""
 
 MAX_OPACITY = 0.99
 MIN_SCALE = 1e-9

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
-
 PATHS = ("orbit", "spiral", "interpolate")
 FRAMES = 120
 FPS = 30.0

@@ -12,7 +12,7 @@ from clgs.data.reduction import MAX_SIZE
 from clgs.data.view import View
 from clgs.errors import DataError, UsageError
 from clgs.opencl.device import Device
-from clgs.options import RenderOptions, render_options
+from clgs.options import BACKGROUNDS, RenderOptions, render_options
 from clgs.scene.scene import QuantizedScene, SplatScene
 from clgs.train.config import TrainConfig, from_toml
 from clgs.train.quality.scores import (
@@ -23,7 +23,7 @@ from clgs.train.quality.scores import (
     summarize,
 )
 from clgs.workflow.events import Note, OnEvent, counter, ignore
-from clgs.workflow.options import BACKGROUNDS, ViewOptions
+from clgs.workflow.options import ViewOptions
 from clgs.workflow.scenes import check_there, run_folder
 
 DrawableScene = TypeVar("DrawableScene", QuantizedScene, SplatScene, QuantizedScene | SplatScene)

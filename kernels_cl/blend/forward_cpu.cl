@@ -1,7 +1,7 @@
 /* Blend the records of every tile front to back, CPU form.
  *
  *     color += alpha T c,  T *= 1 - alpha;  a pixel stops before T < TRANSMITTANCE_STOP.
- * touch.h computes alpha, pixels.h blends; rays.h and moments.h take the derivatives.
+ * touch.h computes alpha, pixels.h blends; rays.h and sums.cl take the derivatives.
  *
  * A work-item owns a tile: its pixels lie in private memory, cut into units of VEC lanes, and the
  * records of its list pass by as a stream. Work-groups of one work-item; launch size: the number of

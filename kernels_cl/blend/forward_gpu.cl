@@ -1,7 +1,7 @@
 /* Blend the records of every tile front to back, GPU form.
  *
  *     color += alpha T c,  T *= 1 - alpha;  a pixel stops before T < TRANSMITTANCE_STOP.
- * touch.h computes alpha, pixels.h blends; rays.h and moments.h take the derivatives.
+ * touch.h computes alpha, pixels.h blends; rays.h and sums.cl take the derivatives.
  *
  * A work-group owns a tile, each of its TILE_SIZE^2 work-items a pixel; 16 neighbouring ones are a
  * unit, which passes over records that do not touch it. Local memory holds BATCH records, which the

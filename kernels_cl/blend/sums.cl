@@ -49,6 +49,9 @@ __kernel void blend_accumulate(__global const float *rows, __global const int *r
     __global float *d_mean2d, __global float *d_whitening, __global float *d_color,                \
         __global float *d_opacity
 
+/* The gradients of Gaussian i from its sums, by the chain rule on
+ *     alpha = opacity exp(-(y1^2 + y2^2) / 2),  y1 = dx r1,  y2 = (dy - l dx) r2
+ * as in clgs/reference/blend.py; sums with an odd power of y1 or y2 have the other sign here. */
 static inline void store_gradients(Sums s, size_t i, __global const float *whitening,
                                    __global const float *color, __global const float *opacity,
                                    GRADIENTS)

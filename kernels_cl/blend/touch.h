@@ -86,7 +86,8 @@ static inline fv exp2_in_range(fv x, const TouchConstants *c)
 }
 
 /* What record r does to pixels with centres (pixel_x, pixel_y). The exponent is log2 of alpha:
- * bias - y1^2 - y2^2. */
+ * bias - y1^2 - y2^2. dx and dy, and so y1 and y2, have the other sign than in the op and the
+ * reference; sums.cl takes care of it. */
 static inline Touch touch(const Record *r, fv pixel_x, fv pixel_y, const TouchConstants *c)
 {
     Touch t;

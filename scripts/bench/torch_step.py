@@ -46,7 +46,11 @@ def stages(arrays: list[np.ndarray], width: int, height: int) -> Step:
     """The stages that a step runs, on arrays that are on the device."""
     device = default_device()
     mean, rotation, scale, opacity, color = (device.upload(one) for one in arrays[:5])
-    splats, lens, size = views.Splats(mean, scale, rotation, opacity), views.Lens(), (width, height)
+    splats, lens, size = (
+        views.Splats(mean, scale, rotation, opacity),
+        views.CameraModel(),
+        (width, height),
+    )
     camera = device.upload(views.pack_camera(arrays[5][0], arrays[6][0], size, lens.near))
     shade, d_left = device.zeros((3,)), device.zeros((height, width))
     d_image = device.upload(np.ones((height, width, 3), np.float32))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -149,6 +150,35 @@ def test_architecture_names_paths_that_exist():
         for name in sorted(named)
         if not any((base / f"{name}{suffix}").exists() for base in bases for suffix in ("", ".py"))
     ]
+
+
+def test_a_name_means_one_class():
+    """A reference shares names with its op, and ``clgs.torch`` offers what ``clgs`` does."""
+    found: dict[str, list[str]] = {}
+    for path, text in sources("clgs").items():
+        if not path.startswith(("clgs/reference/", "clgs/torch/")):
+            for name in re.findall(r"^class (\w+)", text, re.MULTILINE):
+                found.setdefault(name, []).append(path)
+    assert not {name: paths for name, paths in found.items() if len(paths) > 1}
+
+
+def test_sources_name_modules_that_exist():
+    """``clgs.a.b`` in a docstring or a comment is a module, or a name of the module before it."""
+    wrong = []
+    for path, text in sources("clgs", "kernels_cl", suffixes={".py", ".cl", ".h"}).items():
+        for name in set(re.findall(r"``?(clgs(?:\.\w+)+)", text)):
+            place, owner = ROOT / "clgs", ROOT / "clgs" / "__init__.py"
+            for part in name.split(".")[1:]:
+                if (place / part).is_dir():
+                    place, owner = place / part, place / part / "__init__.py"
+                elif (place / f"{part}.py").is_file():
+                    place, owner = place / part, place / f"{part}.py"
+                elif re.search(rf"\b{part}\b", owner.read_text(encoding="utf-8")):
+                    break
+                else:
+                    wrong.append(f"{path}: {name}")
+                    break
+    assert not sorted(wrong)
 
 
 def existing_folders() -> set[str]:

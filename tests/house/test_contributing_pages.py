@@ -65,7 +65,9 @@ def listings(page: str, kind: str) -> list[str]:
 @pytest.mark.skipif(shutil.which("git") is None, reason="git applies the page's changes")
 def test_the_first_change(tree: Path) -> None:
     for change in listings("first_change.md", "diff"):
-        subprocess.run(["git", "apply", "-"], cwd=tree, input=change, text=True, check=True)
+        words = ["git", "apply", "-"]
+        done = subprocess.run(words, cwd=tree, input=change, text=True, capture_output=True)
+        assert done.returncode == 0, f"first_change.md: a listing no longer applies: {done.stderr}"
     (test,) = listings("first_change.md", "python")
     (tree / "tests" / "train" / "step" / "test_warm_up.py").write_text(test)
     run(tree, "pytest", "tests/train/step/test_warm_up.py", "tests/train/step/test_schedule.py")

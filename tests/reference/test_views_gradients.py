@@ -24,7 +24,7 @@ def test_gradients(rng, model, compensated):
     on_axis = np.array([[0, 0, 2], [0.01, -0.02, 2], [0, 0.05, 2]]) - camera[9:12]
     mean[4:7] = np.linalg.solve(camera[:9].reshape(3, 3), on_axis.T).T
     shape = reference.covariances(rng.uniform(0.1, 0.3, (COUNT, 3)), rng.normal(size=(COUNT, 4)))
-    opacity, lens = rng.uniform(0.3, 0.9, COUNT), reference.Lens(model, compensated)
+    opacity, lens = rng.uniform(0.3, 0.9, COUNT), reference.CameraModel(model, compensated)
     d = [rng.normal(size=size) for size in ((COUNT, 2), (COUNT, 3), COUNT, COUNT)]
     seen = reference.forward(mean, shape, opacity, camera, lens)[0]
     assert (seen.extent[:, 0] > 0).sum() >= 9

@@ -52,7 +52,7 @@ class Reference:
         self.given, self.wide, self.mode, self.degree = given, wide, mode, given["sh_degree"]
         self.size = given["width"], given["height"]
         self.packed = pack_camera(wide["viewmats"][camera], wide["Ks"][camera], self.size, 0.01)
-        self.lens = views.Lens(model, antialiased)
+        self.lens = views.CameraModel(model, antialiased)
         self.covars = wide.get("covars")
         if self.covars is None:
             self.covars = views.covariances(wide["scales"], wide["quats"])

@@ -162,6 +162,10 @@ def test_digest_tells_settings_apart_but_not_spellings():
     assert TrainConfig(near=1).digest() == TrainConfig(near=1.0).digest()
 
 
+FIRST_OPTIONS = 64
+"""Options that all runs have had."""
+
+
 @dataclass(frozen=True)
 class Newer(TrainConfig):
     more: int = option(0, "a setting that came later", at_least(0), unit="none", later=True)
@@ -172,6 +176,8 @@ def test_runs_from_before_a_setting_keep_their_digest():
     assert Newer(more=1).digest() != TrainConfig().digest()
     later = "masks", "test_every", "fisheye_view", "batch", "average"
     assert all(options_of(TrainConfig)[name].later for name in later)
+    first = sum(not one.later for one in options_of(TrainConfig).values())
+    assert first == FIRST_OPTIONS, "declare a new option with later=True: older runs lack it"
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,7 @@ from clgs.workflow.runs.plan import (
     Photos,
     Presentation,
     StepSpeed,
-    Trial,
+    TriedPhotos,
     fit_speed,
     frames_within,
     make_plan,
@@ -137,7 +137,7 @@ def test_a_trial_tells_of_features_and_of_the_machine():
     found = FEATURES_PER_PIXEL * 1600 * 1200  # photos are searched at twice their size
     search = 2 * usual.features / 60 / KEPT
     tried = [
-        replace(photos, trial=Trial(*one))
+        replace(photos, trial=TriedPhotos(*one))
         for one in (
             (found, search, PRODUCT_SECONDS),  # as usual
             (found, 3 * search, 3 * PRODUCT_SECONDS),  # on a slow machine

@@ -180,7 +180,7 @@ def _rasteriser_tensors(device: Device) -> Iterator[Tensor]:
         device.upload(random.floats((COUNT, 4), -1.0, 1.0)),
         device.upload(random.floats((COUNT,), 0.0, 1.0)),
     )
-    matrix, lens = np.eye(4), views.Lens(compensated=True)
+    matrix, lens = np.eye(4), views.CameraModel(compensated=True)
     matrix[:3, :3], matrix[2, 3] = TURNED, 4.0
     intrinsics = np.array([[80.0, 0, 40], [0, 80, 24], [0, 0, 1]])
     camera = device.upload(views.pack_camera(matrix, intrinsics, size, lens.near))

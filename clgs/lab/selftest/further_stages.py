@@ -228,7 +228,7 @@ def fisheye_tensors(device: Device) -> Iterator[Tensor]:
         given = views.Splats(
             device.upload(mean), device.upload(shape), rotation, device.upload(opacity)
         )
-        lens = views.Lens("fisheye", compensated=rotation is not None)
+        lens = views.CameraModel("fisheye", compensated=rotation is not None)
         projected = views.forward(device, given, camera, lens, color, DEFAULT)
         names = ("mean2d", "whitening", "depth", "extent", "opacity")
         yield from named(device, f"fisheye forward ({kind})", projected, *names)

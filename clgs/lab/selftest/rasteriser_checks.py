@@ -57,11 +57,11 @@ def _check_rays(
     matrix[2, 3] = 4
     focal = 20.0 if parallel else 80.0
     intrinsics = np.array([[focal, 0, 31], [0, 1.1 * focal, 33], [0, 0, 1]])
-    lens = views.Lens(model, compensated=True)
+    lens = views.CameraModel(model, compensated=True)
     packed = views.pack_camera(matrix, intrinsics, (64, 64), lens.near)
     camera, none = device.upload(packed), device.empty((count, 0))
     forward = partial(views.forward, device, splats, camera, lens, none, DEFAULT)
-    seen, lens64 = forward(), views_reference.Lens(model, compensated=True)
+    seen, lens64 = forward(), views_reference.CameraModel(model, compensated=True)
     given = wide["mean"], covariance, wide["opacity"], packed, lens64
     wanted, opacity = views_reference.forward(*given)
     errors = relative_errors(device, seen, wanted, ("mean2d", "whitening", "depth", "extent"))

@@ -3,7 +3,7 @@
 As ``clgs.ops.project``, and more general: shapes are unnormalised quaternions with scales, or
 covariances; the camera's 3x4 matrix need not be a rotation; rays may be parallel, or those of an
 equidistant fisheye; blur, far plane and smallest radius are arguments; opacities can make up for
-the blur, as in ``clgs.ops.general.antialias``, with a gradient. Trainers with one kind of camera
+the blur, with a gradient. Trainers with one kind of camera
 keep the faster stage.
 
 Sources: 3DGS (EWA splatting, Zwicker et al. 2001); Mip-Splatting (Yu et al. 2024) for the
@@ -45,7 +45,7 @@ class Splats:
 
 
 @dataclass(frozen=True)
-class Lens:
+class CameraModel:
     """How a camera sees, and whether opacities make up for the blur.
 
     model: "pinhole"; "ortho", parallel rays; or "fisheye", an equidistant one, whose depth is the
@@ -112,7 +112,7 @@ def forward(
     device: Device,
     splats: Splats,
     camera: DeviceArray,
-    lens: Lens,
+    lens: CameraModel,
     color: DeviceArray,
     options: RenderOptions,
 ) -> Projected:
@@ -162,7 +162,7 @@ def backward(
     device: Device,
     splats: Splats,
     camera: DeviceArray,
-    lens: Lens,
+    lens: CameraModel,
     projected: Projected,
     d_projected: ChannelGradients,
     want_camera: bool = False,
@@ -209,7 +209,7 @@ def backward(
     return result
 
 
-def _defines(device: Device, splats: Splats, lens: Lens) -> dict[str, int | float]:
+def _defines(device: Device, splats: Splats, lens: CameraModel) -> dict[str, int | float]:
     return {
         "VEC": device.lanes,
         "PARALLEL_RAYS": int(lens.model == "ortho"),

@@ -49,7 +49,7 @@ class _CancelledError(Exception):
     pass
 
 
-class Check:
+class SecondReconstruction:
     """A second reconstruction from half of the points, by the mapper of the kept model.
 
     What both reconstructions agree on can be trusted. A photo whose pose rests on little, or on
@@ -66,7 +66,7 @@ class Check:
         self._half: Workspace | None = None
         self._made: Future[ModelChoice | None] = Future()
 
-    def __enter__(self) -> Check:
+    def __enter__(self) -> SecondReconstruction:
         """Do nothing: the check is a context, so that no thread is left behind."""
         return self
 

@@ -16,13 +16,13 @@ import numpy as np
 from clgs.ops.match import upload
 from clgs.poses.evidence import Evidence, sampson_error
 from clgs.poses.stages.matching import MAX_RATIO, Matches, Pair, by_tiles, mutual_matches
+from clgs.poses.triangulate import MAX_REPROJECTION_ERROR
 from clgs.poses.workspace import Workspace
 
 NEIGHBOURS = 2
 """Each photo is matched with this number of others: those with which it has the most matches."""
 
 MAX_EPIPOLAR_ERROR = 2.0
-MAX_REPROJECTION_ERROR = 2.0
 """Pixels."""
 
 STAGE = "points"

@@ -27,8 +27,8 @@ NEAR_AXIS, TERMS = 0.02, 8
 
 
 @dataclass(frozen=True)
-class Lens:
-    """The fields of ``clgs.ops.general.views.Lens`` that change numbers; near is the camera's."""
+class CameraModel:
+    """The fields of the op's ``CameraModel`` that change numbers; near is the camera's."""
 
     model: str = "pinhole"
     compensated: bool = False
@@ -77,7 +77,11 @@ def shape_gradients(scale: Array, rotation: Array, d_covariance: Array) -> tuple
 
 
 def forward(
-    mean: Array, covariance: Array, opacity: Array, camera: npt.NDArray[np.floating], lens: Lens
+    mean: Array,
+    covariance: Array,
+    opacity: Array,
+    camera: npt.NDArray[np.floating],
+    lens: CameraModel,
 ) -> tuple[Projected, Array]:
     """Projections and opacities; shapes as in ``clgs.ops.general.views``, covariances (N, 3, 3)."""
     view = unpack(camera)
@@ -119,7 +123,7 @@ def backward(
     covariance: Array,
     opacity: Array,
     camera: npt.NDArray[np.floating],
-    lens: Lens,
+    lens: CameraModel,
     d_mean2d: Array,
     d_whitening: Array,
     d_depth: Array,
@@ -155,7 +159,7 @@ def backward(
     return result
 
 
-def _see(view: UnpackedCamera, mean: Array, covariance: Array, lens: Lens) -> _Seen:
+def _see(view: UnpackedCamera, mean: Array, covariance: Array, lens: CameraModel) -> _Seen:
     point = mean @ view.rotation.T + view.translation
     matrix, free = np.zeros((len(point), 2, 3)), np.ones((len(point), 2), bool)
     if lens.model == "fisheye":
@@ -176,7 +180,7 @@ def _see(view: UnpackedCamera, mean: Array, covariance: Array, lens: Lens) -> _S
     return _Seen(point, matrix, free, transform @ covariance @ transform.transpose(0, 2, 1))
 
 
-def _share(seen: _Seen, lens: Lens) -> Array:
+def _share(seen: _Seen, lens: CameraModel) -> Array:
     """Share of the opacity that is left, (N,)."""
     if not lens.compensated:
         return np.ones(len(seen.point))
@@ -185,7 +189,7 @@ def _share(seen: _Seen, lens: Lens) -> Array:
 
 
 def _point_gradient(
-    view: UnpackedCamera, seen: _Seen, lens: Lens, d_mean2d: Array, d_j: Array
+    view: UnpackedCamera, seen: _Seen, lens: CameraModel, d_mean2d: Array, d_j: Array
 ) -> Array:
     d_point = np.zeros_like(seen.point)
     if lens.model == "fisheye":

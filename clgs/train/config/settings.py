@@ -67,9 +67,6 @@ def parse_box(text: str) -> Box:
 BLENDER = "blender"
 """The kind of data set that takes the settings for synthetic scenes; all others are photos."""
 
-BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
-"""Colors of the fixed backgrounds."""
-
 LAMBDA = {True: 0.33, False: 0.9}
 """The default lambda of runs of LAMBDA_STEPS, for Blender scenes and for photos."""
 

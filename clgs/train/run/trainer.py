@@ -15,14 +15,13 @@ from clgs.data.dataset import Dataset
 from clgs.data.view import View
 from clgs.errors import BudgetError, ClgsError, UsageError
 from clgs.opencl.device import Device
-from clgs.options import RenderOptions
+from clgs.options import BACKGROUNDS, RenderOptions
 from clgs.render.frame import EXACT_ROOM, Frame
 from clgs.render.renderer import Renderer
 from clgs.scene.anchors import quantize
 from clgs.scene.mlps import Mlps
 from clgs.scene.scene import QuantizedScene
 from clgs.train.config import TrainConfig
-from clgs.train.config.settings import BACKGROUNDS
 from clgs.train.quality.scores import mean_psnr
 from clgs.train.rate.economy import Economy, Round
 from clgs.train.run.load import first_state

@@ -22,13 +22,14 @@ from clgs.opencl.device import Device
 from clgs.ops import adam, density, exposure
 from clgs.ops.density import DeviceStatistics, Statistics
 from clgs.ops.rate import Rate
+from clgs.options import BACKGROUNDS
 from clgs.render.frame import DeviceScene
 from clgs.scene.anchors import FIELDS, AnchorSet, QuantizationScales, take
 from clgs.scene.camera import photo_range
 from clgs.scene.mlps import Mlps
 from clgs.scene.scene import RenderSettings
 from clgs.train.config import TrainConfig
-from clgs.train.config.settings import BACKGROUNDS, PAPER_Q
+from clgs.train.config.settings import PAPER_Q
 from clgs.train.quality.importance import Sensitivity
 
 Moments = adam.Moments[npt.NDArray[np.float32]]

@@ -19,10 +19,10 @@ from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.opencl.transfer import Download
 from clgs.ops import adam, density, exposure, loss, mask
+from clgs.options import BACKGROUNDS
 from clgs.render.frame import DeviceScene, DeviceView, Frame, Room, SceneGradients
 from clgs.render.rasterise import check_room, rasterise, rasterise_backward
 from clgs.train.config import TrainConfig
-from clgs.train.config.settings import BACKGROUNDS
 from clgs.train.state.run_state import ExposureMaps
 from clgs.train.step import numpy_adam
 from clgs.train.step.grow_and_prune import observes, seen_view

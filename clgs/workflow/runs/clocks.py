@@ -38,7 +38,7 @@ from clgs.workflow.runs.plan import (
     Photos,
     PosesTime,
     StepSpeed,
-    Trial,
+    TriedPhotos,
     fit_speed,
     used_cores,
 )
@@ -151,7 +151,7 @@ def synthetic_dataset(edge: int) -> Dataset:
     )
 
 
-def try_photos(device: Device, files: Sequence[Path], size: int) -> Trial | None:
+def try_photos(device: Device, files: Sequence[Path], size: int) -> TriedPhotos | None:
     """Find and match the features of photos as ``clgs prepare`` does; None if none can be read.
 
     ``size``: longer side of the largest photo, pixels.
@@ -180,7 +180,7 @@ def try_photos(device: Device, files: Sequence[Path], size: int) -> Trial | None
     taken = (time.perf_counter() - began) * used_cores(THREADS)
     products = sum(len(largest[a]) * len(largest[b]) for a, b in pairs)
     features = float(np.mean([len(one) for one in found]))
-    return Trial(features, seconds, taken / products if products else PRODUCT_SECONDS)
+    return TriedPhotos(features, seconds, taken / products if products else PRODUCT_SECONDS)
 
 
 OFF = 0.3

@@ -95,7 +95,7 @@ FRAME_STEPS = 0.7
 
 
 @dataclass(frozen=True)
-class Trial:
+class TriedPhotos:
     """What a few photos of a run tell of all.
 
     features: that a photo has; seconds: of one core, to find them; product: seconds of one core per
@@ -120,7 +120,7 @@ class Photos:
     synthetic: bool = False
     masks: int = 0
     meaning: str = IGNORE
-    trial: Trial | None = None
+    trial: TriedPhotos | None = None
 
     def masks_in_words(self) -> str:
         """What is made of the masks, and the option that changes it; empty if there are none."""

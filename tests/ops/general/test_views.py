@@ -35,8 +35,8 @@ def gaussians(rng, count):
 
 def lenses(model, compensated):
     shared = {"blur": 0.25, "far": 5.5, "smallest_radius": 2.0}
-    given = views.Lens(model, compensated, near=2.0, **shared)
-    return given, reference.Lens(model, compensated, **shared)
+    given = views.CameraModel(model, compensated, near=2.0, **shared)
+    return given, reference.CameraModel(model, compensated, **shared)
 
 
 def on_device(device, values, by_covariance):
@@ -153,7 +153,7 @@ def test_a_fisheye_sees_the_axis_and_almost_90_degrees(device, rng, by_covarianc
     values["opacity"][:] = 0.9
     wide = {name: value.astype(np.float64) for name, value in values.items()}
     shape = reference.covariances(wide["scale"], wide["rotation"])
-    lens, lens64 = views.Lens("fisheye", near=1e-4), reference.Lens("fisheye")
+    lens, lens64 = views.CameraModel("fisheye", near=1e-4), reference.CameraModel("fisheye")
     intrinsics = np.array([[30.0, 0, 48], [0, 25, 40], [0, 0, 1]])
     packed = views.pack_camera(np.eye(4), intrinsics, SIZE, lens.near)
     wanted = reference.forward(wide["mean"], shape, wide["opacity"], packed, lens64)[0]
@@ -183,10 +183,10 @@ def test_boxes_of_a_reach_do_not_depend_on_the_opacity(device, rng):
     wide = {name: value.astype(np.float64) for name, value in values.items()}
     packed = views.pack_camera(*matrices(rng), SIZE, 0.01)
     shape = reference.covariances(wide["scale"], wide["rotation"])
-    lens = reference.Lens(compensated=True, reach=3.33)
+    lens = reference.CameraModel(compensated=True, reach=3.33)
     wanted, opacity = reference.forward(wide["mean"], shape, wide["opacity"], packed, lens)
     splats, camera = on_device(device, values, False), device.upload(packed)
-    given = views.Lens(compensated=True, reach=3.33)
+    given = views.CameraModel(compensated=True, reach=3.33)
     found = views.forward(device, splats, camera, given, device.empty((700, 0)), DEFAULT)
     assert (wanted.extent[::3, 0] > 0).any()
     assert relative_l2(device.download(found.extent), wanted.extent) < 3e-6
@@ -200,7 +200,7 @@ def test_depths_tell_which_numbers_cannot_be_used(device, rng, by_covariance):
     values = gaussians(rng, count)
     values["mean"][1::2, 2] = -9
     packed = views.pack_camera(*matrices(rng), SIZE, 0.01)
-    camera, none, lens = device.upload(packed), device.empty((count, 0)), views.Lens()
+    camera, none, lens = device.upload(packed), device.empty((count, 0)), views.CameraModel()
     clean = views.forward(
         device, on_device(device, values, by_covariance), camera, lens, none, DEFAULT
     )
@@ -218,7 +218,9 @@ def test_depths_tell_which_numbers_cannot_be_used(device, rng, by_covariance):
         wide = {name: value.astype(np.float64) for name, value in values.items()}
         shape = reference.covariances(wide["scale"], wide["rotation"])
     found = views.forward(device, splats, camera, lens, none, DEFAULT)
-    wanted, _ = reference.forward(wide["mean"], shape, wide["opacity"], packed, reference.Lens())
+    wanted, _ = reference.forward(
+        wide["mean"], shape, wide["opacity"], packed, reference.CameraModel()
+    )
     depth = device.download(found.depth)
     assert np.array_equal(np.isnan(depth), bad)
     assert np.array_equal(np.isnan(wanted.depth), bad)
@@ -236,13 +238,13 @@ def test_flat_covariances_have_gradients(device):
     viewmat, intrinsics = matrices(np.random.default_rng(1))
     camera = device.upload(views.pack_camera(viewmat, intrinsics, SIZE, 0.1))
     none, ones = device.empty((2, 0)), device.upload(np.ones((2, 3), np.float32))
-    found = views.forward(device, splats, camera, views.Lens(), none, DEFAULT)
+    found = views.forward(device, splats, camera, views.CameraModel(), none, DEFAULT)
     assert (device.download(found.extent) > 0).all()
     made = views.backward(
         device,
         splats,
         camera,
-        views.Lens(),
+        views.CameraModel(),
         found,
         ChannelGradients(device.zeros((2, 2)), ones, device.zeros((2,)), none, None, None),
         want_camera=True,
@@ -257,8 +259,8 @@ def test_wrong_arrays_and_none(device, rng):
     few = on_device(device, gaussians(rng, 3), False)
     empty = on_device(device, gaussians(rng, 0), False)
     none = device.empty((0, 0))
-    found = views.forward(device, empty, camera, views.Lens(), none, DEFAULT)
+    found = views.forward(device, empty, camera, views.CameraModel(), none, DEFAULT)
     assert device.download(found.mean2d).shape == (0, 2)
     wrong = views.Splats(few.mean, few.shape, None, few.opacity)
     with pytest.raises(ValueError, match="shape"):
-        views.forward(device, wrong, camera, views.Lens(), none, DEFAULT)
+        views.forward(device, wrong, camera, views.CameraModel(), none, DEFAULT)

@@ -112,7 +112,7 @@ def test_global_mappers_at_once_do_not_disturb_each_other(reconstructed, monkeyp
     monkeypatch.setattr(check, "mappers", lambda _: [GLOBAL])
     found = list[tuple[NDArray[np.float64], NDArray[np.float64]]]()
     for at_once in (False, True):
-        with check.Check() as tested, TemporaryDirectory() as folder:
+        with check.SecondReconstruction() as tested, TemporaryDirectory() as folder:
             workspace = replace(plain, finished=Finished(Path(folder)))
             if at_once:
                 tested.begin_early(workspace, choice.evidence)
@@ -130,7 +130,7 @@ def test_a_check_that_is_given_up_ends_the_global_mapper(reconstructed, monkeypa
     workspace, choice = reconstructed
     monkeypatch.setattr(check, "THREADS", 2)
     monkeypatch.setattr(check, "mappers", lambda _: [GLOBAL])
-    with check.Check() as given_up:
+    with check.SecondReconstruction() as given_up:
         given_up.begin_early(workspace, choice.evidence)
     assert given_up._made.done()
     assert not pycolmap_child._running
@@ -154,20 +154,20 @@ def test_a_mapper_that_was_killed_next_to_the_other_is_asked_once_more(reconstru
     monkeypatch.setattr(check, "mappers", lambda _: [GLOBAL])
     kept = MappedModel(GLOBAL, choice.kept.reconstruction, choice.kept.explained)
     asked = replace(choice, kept=kept)
-    with check.Check() as whole:
+    with check.SecondReconstruction() as whole:
         expected = poses_of(whole.model(plain, asked)).centre
-    with check.Check() as tested:
+    with check.SecondReconstruction() as tested:
         tested.begin_early(plain, choice.evidence)
         kill_the_global_mapper(1)
         assert np.array_equal(poses_of(tested.model(plain, asked)).centre, expected)
-    with check.Check() as tested:
+    with check.SecondReconstruction() as tested:
         assert not tested.give_up()
         tested.begin_early(plain, choice.evidence)
         assert tested.give_up()
         assert not pycolmap_child._running
         assert np.array_equal(poses_of(tested.model(plain, asked)).centre, expected)
     killer = threading.Thread(target=kill_the_global_mapper, args=[2])
-    with check.Check() as tested:
+    with check.SecondReconstruction() as tested:
         tested.begin_early(plain, choice.evidence)
         killer.start()
         with pytest.raises(pycolmap_child.CrashError, match="enough memory"):
@@ -184,7 +184,7 @@ def test_a_model_is_made_again_alone_if_both_were_killed(reconstructed, monkeypa
         monkeypatch.setattr(module, "mappers", lambda _: [GLOBAL])
     expected = map_photos(workspace, matching.read_evidence(workspace), quick=False)
     killer = threading.Thread(target=kill_the_global_mapper, args=[2])
-    with check.Check() as tested:
+    with check.SecondReconstruction() as tested:
         killer.start()
         _, found, _ = reconstruct._match_and_map(workspace, Known(), tested, [])
         killer.join()
@@ -200,17 +200,17 @@ def test_begun_early_or_late_it_is_the_same(reconstructed, tmp_path, monkeypatch
     progress, evidence = list[tuple[str, int, int]](), choice.evidence
     workspace = replace(plain, on_progress=lambda *step: progress.append(step))
     kept = replace(workspace, finished=Finished(tmp_path))
-    with check.Check() as late:
+    with check.SecondReconstruction() as late:
         expected = late.model(workspace, choice)
     progress.clear()
-    with check.Check() as early:
+    with check.SecondReconstruction() as early:
         early.begin_early(workspace, replace(evidence, pairs=evidence.pairs[1:]))
         early.begin_early(kept, evidence)
         assert not progress
         found = early.model(kept, choice)
         assert early.model(kept, choice) is found
     assert {stage for stage, _, _ in progress} == {check.STAGE}
-    with check.Check() as again:  # the piece is there: it is only read
+    with check.SecondReconstruction() as again:  # the piece is there: it is only read
         again.begin_early(workspace, evidence)
         again.begin_early(kept, evidence)
         read = again.model(kept, choice)
