@@ -46,6 +46,9 @@ LOW_RATIO, WRONG_RATIO = 0.5, 0.25
 """Shares of a photo's matches in links that agree with its pose: below the first it is doubtful,
 below the second wrong."""
 
+CLEAR_RATIO = 0.8
+"""A photo of which a smaller share of matches agrees is placed again; nearly all have more."""
+
 APART, APART_TIMES = 45.0, 5.0
 """A photo stands apart if it is turned by this many degrees from both neighbours by name, and by
 this many times the median."""
@@ -120,13 +123,22 @@ def judge(
 
 
 def unconfirmed(choice: ModelChoice, second: Any | None) -> list[str]:
-    """List the photos of the kept model that the second reconstruction lacks or places elsewhere.
+    """List the photos of the kept model that are to be placed again.
+
+    The second reconstruction lacks them or places them elsewhere, or their own matches contradict
+    their poses: both reconstructions may have made the same mistake.
 
     ``second``: None if it failed.
     """
-    poses = poses_of(choice.kept.reconstruction)
+    model = choice.kept.reconstruction
+    poses, ratio = poses_of(model), choice.kept.explained.inlier_ratios()
     again = differences(poses, poses_of(second)) if second is not None else {}
-    return [name for name in poses.names if _second_doubts(again.get(name))]
+    number = {name: model.find_image_with_name(name).image_id for name in poses.names}
+    return [
+        name
+        for name in poses.names
+        if _second_doubts(again.get(name)) or ratio.get(number[name], 0.0) < CLEAR_RATIO
+    ]
 
 
 def _differences_from_rival(choice: ModelChoice, poses: Poses) -> Differences:
