@@ -148,6 +148,11 @@ class PhotoSource:
         """All files to read."""
         return [one.path for one in self.collection.photos] if self.collection else [self.path]
 
+    @property
+    def masks(self) -> list[Path]:
+        """The files of masks."""
+        return [one.mask for one in self.collection.photos if one.mask] if self.collection else []
+
 
 def find_source(path: Path, frames: int | None = None, least: int = LEAST_PHOTOS) -> PhotoSource:
     """Look at ``path``, a folder or a video; nothing is decoded, and nothing is written.

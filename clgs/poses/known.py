@@ -6,6 +6,7 @@ matches contradict them, they are not used.
 
 from __future__ import annotations
 
+import logging
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,7 +19,8 @@ import numpy.typing as npt
 from clgs.data.dataset import read_photo_set
 from clgs.data.images import image_size
 from clgs.data.lens import Lens
-from clgs.data.posed_photo import Photo, from_plain, to_plain, to_y_up
+from clgs.data.posed_photo import Photo, PhotoSet, from_plain, to_plain, to_y_up
+from clgs.data.programs import metashape, realityscan
 from clgs.errors import DataError
 from clgs.poses.evidence import Evidence, Poses, angle, common_similarity, differences, poses_of
 from clgs.poses.find import Collection, Found, new_name
@@ -27,8 +29,15 @@ from clgs.scene.world import EARTH, LOCAL, MAP, NOWHERE, Place
 
 Floats = npt.NDArray[np.float64]
 
-MAX_OFF = 5.0
-"""Degrees by which the turn between two photos may be off that of their matches, at the median."""
+MAX_OFF, MAX_ASTRAY = 5.0, 45.0
+"""Degrees by which the turn between two photos, and the direction from one to the other, may be off
+those of their matches, at the median."""
+
+SEEN_APART = 1.5
+"""Degrees between the rays to what two photos share, from which they show a direction."""
+
+ENOUGH_PAIRS = 5
+"""With fewer directions these are not asked."""
 
 MIXED_UP = {
     "camera to world is taken for world to camera": (True, 1),
@@ -36,6 +45,9 @@ MIXED_UP = {
     "camera to world is taken for world to camera, and OpenGL's axes for OpenCV's": (True, -1),
 }
 """What may be wrong with all poses: whether they are inverted, and the sign of cameras' y and z."""
+
+FILES = {".xml": metashape.read, ".csv": realityscan.read}
+"""Readers of files whose photos need not lie next to them."""
 
 NAMED = 5
 
@@ -47,6 +59,8 @@ FISHEYE, PERSPECTIVE = "OPENCV_FISHEYE", "OPENCV"
 
 LOOSE, STRICT = 16.0, 4.0
 """Largest errors of matches, pixels: before the poses are refined, and after that."""
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -82,8 +96,7 @@ def read_known(source: Path, found: Collection) -> Known:
     Raises:
         DataError: no data set, a damaged one, or one of other photos.
     """
-    root = source.parent if source.is_file() else source
-    given = read_photo_set(root)
+    given = _read_set(source, found.root)
     posed = given.train + given.test
     by_path = {photo.path.resolve(): photo for photo in posed}
     stems = Counter(_stem(photo.path) for photo in posed)
@@ -98,7 +111,26 @@ def read_known(source: Path, found: Collection) -> Known:
             f"{source}: none of its {len(posed)} photos is in {found.root}; name the poses of "
             "these photos"
         )
+    own = {_stem(one.path) for one in found.photos}
+    lost = [photo.name for photo in posed if _stem(photo.path) not in own] + given.missing
+    if lost:
+        more = ", ..." * (len(lost) > NAMED)
+        _log.warning(
+            "%s: %d of its photos are not in %s: %s",
+            *(source, len(lost), found.root, ", ".join(sorted(lost)[:NAMED]) + more),
+        )
     return Known(str(source), photos, given.kind, given.frame, given.place)
+
+
+def _read_set(source: Path, photos: Path) -> PhotoSet:
+    """Read a data set, or that of a file; the photos of some files may lie in ``photos`` alone."""
+    read = FILES.get(source.suffix.lower()) if source.is_file() else None
+    if read is None:
+        return read_photo_set(source.parent if source.is_file() else source)
+    try:
+        return read(photos, source)
+    except DataError:
+        return read(source.parent, source)
 
 
 def _stem(path: Path) -> str:
@@ -198,39 +230,69 @@ def contradiction(workspace: Workspace, evidence: Evidence) -> str:
     Returns:
         Why the poses cannot be used; empty if the matches confirm them.
     """
-    pairs, turns = list[tuple[Floats, Floats]](), list[Floats]()
+    found, given, apart = _geometries(workspace, evidence)
+    if not found:
+        return "no two of the photos that they place next to each other match"
+    far = np.array(apart) >= SEEN_APART
+    turns = np.array([one.rotation.matrix() for one in found])
+    steps = np.array([one.translation for one in found])
+    rotation, move = (
+        np.array([[getattr(one, name) for one in pair] for pair in given])
+        for name in ("rotation", "translation")
+    )
+
+    def off(inverted: bool, sign: int) -> tuple[float, float]:
+        axes = np.diag([1.0, sign, sign])
+        turned = rotation.swapaxes(2, 3) if inverted else rotation
+        centre = move if inverted else -np.einsum("npji,npj->npi", rotation, move)
+        first, second = (axes @ turned).swapaxes(0, 1)
+        turn = float(np.median(angle(turns @ first @ second.swapaxes(1, 2))))
+        if far.sum() < ENOUGH_PAIRS:
+            return turn, 0.0
+        way = np.einsum("nij,nj->ni", second, centre[:, 0] - centre[:, 1])[far]
+        length = np.linalg.norm(way, axis=1) * np.linalg.norm(steps[far], axis=1)
+        cosine = np.einsum("ni,ni->n", way, steps[far]) / np.maximum(length, 1e-300)
+        return turn, float(np.degrees(np.median(np.arccos(np.clip(cosine, -1.0, 1.0)))))
+
+    turn, astray = off(False, 1)
+    if turn <= MAX_OFF and astray <= MAX_ASTRAY:
+        return ""
+    why = f"matches contradict them by {turn:.0f} degrees"
+    if turn <= MAX_OFF:
+        why = f"matches contradict the directions between their cameras by {astray:.0f} degrees"
+    for words, mixed_up in MIXED_UP.items():
+        if np.all(np.array(off(*mixed_up)) <= (MAX_OFF, MAX_ASTRAY)):
+            return f"{why}; it seems that {words}"
+    return why
+
+
+def _geometries(
+    workspace: Workspace, evidence: Evidence
+) -> tuple[list[Any], list[tuple[Photo, Photo]], list[float]]:
+    """Read the two-view geometries of neighbours with a given pose.
+
+    Returns:
+        For each pair the pose of its second photo as its first one sees it, with a step of any
+        length; the given poses; and degrees between the rays to what both see.
+    """
+    found, given, apart = list[Any](), list[tuple[Photo, Photo]](), list[float]()
     with workspace.open() as database:
         names = {n: database.read_image(n).name for n in workspace.ids(database)}
         cameras = {n: database.read_camera(database.read_image(n).camera_id) for n in names}
         for pair in evidence.strongest(1)[:ASKED]:
             both = pair.first, pair.second
-            given = [workspace.known.get(names[number]) for number in both]
-            if given[0] is None or given[1] is None:
+            first, second = (workspace.known.get(names[number]) for number in both)
+            if first is None or second is None:
                 continue
             geometry = database.read_two_view_geometry(*both)
             points = [evidence.keypoints[number] for number in both]
             if workspace.pycolmap.estimate_two_view_geometry_pose(
                 *(cameras[both[0]], points[0], cameras[both[1]], points[1]), geometry
             ):
-                turns.append(np.asarray(geometry.cam2_from_cam1.rotation.matrix()))
-                pairs.append((given[0].rotation, given[1].rotation))
-    if not turns:
-        return "no two of these photos match"
-    found, (first, second) = np.array(turns), np.array(pairs).swapaxes(0, 1)
-    off = _median_off(found, first, second)
-    if off <= MAX_OFF:
-        return ""
-    for words, (inverted, sign) in MIXED_UP.items():
-        axes = np.diag([1.0, sign, sign])
-        right = [one.swapaxes(1, 2) if inverted else one for one in (first, second)]
-        if _median_off(found, *(axes @ one for one in right)) <= MAX_OFF:
-            return f"matches contradict them by {off:.0f} degrees; it seems that {words}"
-    return f"matches contradict them by {off:.0f} degrees"
-
-
-def _median_off(found: Floats, first: Floats, second: Floats) -> float:
-    """The median angle between turns (N, 3, 3) and those between two cameras' rotations."""
-    return float(np.median(angle(found @ first @ second.swapaxes(1, 2))))
+                found.append(geometry.cam2_from_cam1)
+                given.append((first, second))
+                apart.append(np.degrees(geometry.tri_angle))
+    return found, given, apart
 
 
 def map_known(workspace: Workspace, folder: Path) -> Any:
@@ -256,7 +318,7 @@ def map_known(workspace: Workspace, folder: Path) -> Any:
     # What is triangulated last rests on poses that are refined.
     for number, error in enumerate((LOOSE, STRICT, STRICT)):
         if number:
-            pycolmap.bundle_adjustment(model, adjusting)
+            _adjust(pycolmap, model, adjusting)
         options = pycolmap.IncrementalPipelineOptions()
         options.num_threads = options.mapper.num_threads = 1
         options.random_seed = options.mapper.random_seed = workspace.seed
@@ -274,6 +336,16 @@ def map_known(workspace: Workspace, folder: Path) -> Any:
     return model
 
 
+def _adjust(pycolmap: Any, model: Any, options: Any) -> None:
+    """Do what ``pycolmap.bundle_adjustment`` does, which makes pycolmap log all that follows."""
+    pycolmap.ObservationManager(model).filter_observations_with_negative_depth()
+    config = pycolmap.BundleAdjustmentConfig()
+    for number in model.reg_image_ids():
+        config.add_image(number)
+    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    pycolmap.create_default_bundle_adjuster(options, config, model).solve()
+
+
 def to_given_world(workspace: Workspace, model: Any, known: Known) -> float | None:
     """Put a model into the world of the given poses, as its photos suit best.
 
@@ -281,7 +353,8 @@ def to_given_world(workspace: Workspace, model: Any, known: Known) -> float | No
     is what a COLMAP model's is taken for, unless it lies on the Earth.
 
     Returns:
-        The degrees by which the model turns the given poses, at the median; None if there are none.
+        The degrees by which the model turns the given poses, at the median; None if there are none,
+        or they do not agree with the model.
     """
     poses = poses_of(model)
     names = [name for name in poses.names if name in workspace.known]
@@ -291,9 +364,12 @@ def to_given_world(workspace: Workspace, model: Any, known: Known) -> float | No
     rotation, centre = (np.array([getattr(p, n) for p in photos]) for n in ("rotation", "centre"))
     own, given = poses.chosen(names), Poses(names, rotation, centre, np.ones(len(names)))
     between = common_similarity(own, given)
+    off = float(np.median([one.turn for one in differences(own, given).values()] or [0.0]))
+    if off > MAX_OFF or not (np.isfinite(between.scale) and between.scale > 0.0):
+        return None
     turn = np.eye(3)
     if known.frame not in (EARTH, MAP):
         turn = to_y_up("colmap", LOCAL).T @ to_y_up(known.kind, known.frame)
     rotated = workspace.pycolmap.Rotation3d(turn @ between.turn)
     model.transform(workspace.pycolmap.Sim3d(between.scale, rotated, turn @ between.offset))
-    return float(np.median([one.turn for one in differences(own, given).values()]))
+    return off

@@ -122,7 +122,7 @@ def prepare(
         if overwrite:
             _check_replaceable(output, source.files)
         options = seed % SEEDS, quick, equirectangular, known.plain(), continued is not None
-        kept_for = digest_of(source.files, [source.frames, *options])
+        kept_for = digest_of(source.files + source.masks, [source.frames, *options])
         with (
             kept_pieces(output, kept_for) as kept,
             atomic_folder(output, overwrite) as target,

@@ -49,8 +49,15 @@ def distances(centres: np.ndarray) -> np.ndarray:
     return np.linalg.norm(centres[:, None] - centres, axis=2)
 
 
+def scattered(pose: np.ndarray) -> list[list[float]]:
+    """The right turn at a place that is none."""
+    moved = pose.copy()
+    moved[:3, 3] = np.random.default_rng(int(1e6 * abs(pose[0, 3]))).uniform(-1, 1, 3)
+    return opengl(moved)
+
+
 @pytest.mark.slow
-def test_noisy_poses_are_refined_in_their_own_units(tmp_path: Path):
+def test_noisy_poses_are_refined_in_their_own_units(tmp_path: Path, capfd):
     rng = np.random.default_rng(0)
 
     def shaken(pose: np.ndarray) -> list[list[float]]:
@@ -63,6 +70,7 @@ def test_noisy_poses_are_refined_in_their_own_units(tmp_path: Path):
     poses = write_known(root, 7, shaken)
     verdict = prepare(root / "photos", tmp_path / "data", poses=root / "transforms.json")
     assert (verdict.registered, verdict.mapper) == (7, "given poses")
+    assert capfd.readouterr().err == ""  # pycolmap's log
     assert {photo.status for photo in verdict.photos} == {GOOD}
     (note,) = verdict.notes
     assert "the world is that of its 7 poses" in note
@@ -82,6 +90,7 @@ def test_noisy_poses_are_refined_in_their_own_units(tmp_path: Path):
             lambda pose: opengl(np.linalg.inv(pose)),
             "camera to world is taken for world to camera",
         ),
+        (scattered, "contradict the directions between their cameras"),
     ],
 )
 def test_poses_in_the_wrong_convention_are_named_and_not_used(

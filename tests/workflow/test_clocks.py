@@ -114,6 +114,16 @@ def test_pairs_that_show_nothing_do_not_count_as_matched():
     assert said == [(pytest.approx(60.0), pytest.approx(100.0))]  # 20 + 2 + 28, and as much again
 
 
+def test_features_of_an_earlier_call_take_no_time_and_tell_nothing():
+    now, said = 0.0, list[tuple[float, float]]()
+    clock = PosesClock(PLANNED, lambda *one: said.append(one), ignore, clock=lambda: now)
+    clock(StageProgress("features", 100, 100))
+    for done in range(101):
+        clock(StageProgress("matches", done, 100))
+        now += 0.11
+    assert said == []
+
+
 def test_training_is_planned_again_and_shown_at_once():
     stages = SimpleNamespace(
         timed=lambda name: nullcontext(), measure_speed=lambda photos, data: StepSpeed(0.02, 1e-7)

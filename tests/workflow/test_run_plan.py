@@ -10,6 +10,7 @@ import pytest
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 
 from clgs.cli.options import duration
 from clgs.workflow.runs.plan import (
@@ -155,6 +156,8 @@ def test_poses_are_tested_if_there_is_time():
     assert must_hurry(PHOTOS, 2, 200.0)
     assert not must_hurry(PHOTOS, 2, 3600.0)
     assert not must_hurry(replace(PHOTOS, count=11), 2, 300.0)
+    busy = TriedPhotos(8192, 60.0, 1e-6)  # the same command finds the same poses
+    assert not must_hurry(replace(PHOTOS, trial=busy), 2, 3600.0)
 
 
 @pytest.mark.parametrize(
@@ -204,6 +207,19 @@ def test_what_is_chosen_of_a_clip_stays():
     assert (plan.path, plan.frames, plan.width, plan.height) == ("spiral", 90, 64, 48)
     assert plan_clip(PHOTOS, SPEED, 600.0, Presentation(path="none")).seconds == 0
     assert make_plan(PHOTOS, SPEED, 0.0, 3600.0).clip.height == 1080
+
+
+def test_usual_photos_are_tried(tmp_path):
+    for number, size in enumerate(((8, 6), *[(64, 48)] * 9, (6, 8), (90, 80))):
+        color = (20 * number, 0, 0)  # no copies
+        Image.new("RGB", size, color).save(tmp_path / f"{number:02}.png")
+    found = find_input(tmp_path)
+    assert (found.photos.width, found.photos.height, found.largest) == (64, 48, 90)
+    assert [path.stem for path in found.tried] == ["01", "03", "05", "07"]
+    digest = found.digest
+    (tmp_path / "masks").mkdir()
+    Image.new("L", (64, 48), 255).save(tmp_path / "masks" / "01.png")
+    assert find_input(tmp_path).digest != digest
 
 
 def test_points_are_planned_for_only_where_there_are_none(tmp_path):

@@ -175,7 +175,9 @@ def _show_plan(plan: RunPlan) -> None:
     if photos.masks:
         print(photos.masks_in_words())
     preparing = f"about {in_words(training.prepare_seconds)}"
-    if not given.posed:
+    if not given.posed and not training.prepare_seconds:
+        print("poses:    are there")
+    elif not given.posed:
         tested = (
             "not tested, for lack of time" if plan.hurry else "tested by a second reconstruction"
         )

@@ -167,8 +167,11 @@ def try_photos(device: Device, files: Sequence[Path], size: int) -> TriedPhotos 
         except DataError:  # it is named when all are read
             return None
 
-    with ThreadPoolExecutor(THREADS) as pool:
+    pool = ThreadPoolExecutor(THREADS)
+    try:
         found = [one for one in pool.map(search, files) if one is not None]
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)  # an interruption need not wait
     if not found:
         return None
     seconds = (time.perf_counter() - began) * min(THREADS, len(files)) / len(found)
@@ -209,7 +212,8 @@ class PosesClock:
             on_event: receives all events.
             clock: in seconds.
         """
-        self._planned, self._said = said, said.seconds
+        self._planned = {"features": said.features, "matches": said.matches}
+        self._other, self._said = said.other, said.seconds
         self._on_news, self._on_event, self._clock = on_news, on_event, clock
         self._began = dict[str, tuple[int, float]]()
         self._found = dict[str, float]()
@@ -221,7 +225,11 @@ class PosesClock:
             return
         stage, now = event.stage, self._clock()
         first, began = self._began.setdefault(stage, (event.done, now))
-        if stage not in ENOUGH or stage in self._found or event.done == first:
+        if stage not in ENOUGH or stage in self._found:
+            return
+        if event.done == first:
+            if first == event.total:  # an earlier call did it
+                self._said -= self._planned.pop(stage, 0.0)
             return
         total, before = event.total, 0.0
         if stage == "matches":  # the first pairs are those that showed nothing at a cheap look
@@ -230,9 +238,9 @@ class PosesClock:
             return
         self._found[stage] = before + (now - began) * total / (event.done - first)
         # What is not known yet is taken to differ from the plan as what is known.
-        plan = {"features": self._planned.features, "matches": self._planned.matches}
-        planned, known = sum(plan[each] for each in self._found), sum(self._found.values())
-        taken = known / max(planned, 1e-9) * (self._planned.seconds - planned) + known
+        planned = sum(self._planned.get(each, 0.0) for each in self._found)
+        known, whole = sum(self._found.values()), sum(self._planned.values()) + self._other
+        taken = known / max(planned, 1e-9) * (whole - planned) + known
         if abs(taken - self._said) > OFF * self._said:
             said, self._said = self._said, taken
             self._on_news(said, taken)

@@ -280,8 +280,12 @@ def prepare_seconds(photos: Photos, cores: int, quick: bool) -> float:
 
 
 def must_hurry(photos: Photos, cores: int, seconds: float) -> bool:
-    """Whether ``seconds`` for everything leave no time for tests of the poses."""
-    return prepare_seconds(photos, cores, quick=False) > POSES_SHARE * seconds
+    """Whether ``seconds`` for everything leave no time for tests of the poses.
+
+    It is by the usual speed, not by that of a trial: other poses would follow from a busy moment.
+    """
+    usual = replace(photos, trial=None)
+    return prepare_seconds(usual, cores, quick=False) > POSES_SHARE * seconds
 
 
 def frames_within(video: Photos, cores: int, seconds: float) -> int:

@@ -36,7 +36,8 @@ class RunInput:
 
     posed: it is a data set, so that no poses have to be found; pointless: one without points, which
     are found before training; video: the photos are frames of one; digest: changes if photos are
-    added, removed or replaced, "" for a data set; tried: photos that tell the time of all.
+    added, removed or replaced, "" for a data set; tried: photos that tell the time of all; largest:
+    longer side of the largest photo, pixels.
     """
 
     path: Path
@@ -46,6 +47,7 @@ class RunInput:
     video: bool = False
     digest: str = ""
     tried: tuple[Path, ...] = ()
+    largest: int = 0
 
     @property
     def complete(self) -> bool:
@@ -68,7 +70,7 @@ def find_input(path: Path) -> RunInput:
         pointless = must_triangulate(dataset) and read_photo_set(path).points_file is None
         return RunInput(path, True, _photos_of(dataset), pointless)
     found = find_source(path)
-    listed = [f"{file.name}\0{file.stat().st_size}" for file in found.files]
+    listed = [f"{file.name}\0{file.stat().st_size}" for file in found.files + found.masks]
     names = "\n".join(listed).encode("utf-8", "surrogateescape")
     digest = hashlib.blake2b(names).hexdigest()[:32]
     if found.collection is None:
@@ -77,11 +79,14 @@ def find_input(path: Path) -> RunInput:
     sizes = readable_sizes(found.collection)
     masks = [one.mask for one in found.collection.photos]
     given, meaning = sum(mask is not None for mask in masks), meaning_of(masks)
-    photos = Photos(len(sizes), *sizes[0], masks=given, meaning=meaning)
+    size = max(set(sizes), key=lambda one: (sizes.count(one), one))  # most photos have it
+    photos = Photos(len(sizes), *size, masks=given, meaning=meaning)
     files = [one.path for one in found.collection.photos]
     around = len(sizes) != len(files)  # some are cut into views
-    tried = [] if around else [files[k * len(files) // TRIED] for k in range(TRIED)]
-    return RunInput(path, False, photos, digest=digest, tried=tuple(dict.fromkeys(tried)))
+    usual = [] if around else [file for file, one in zip(files, sizes, strict=True) if one == size]
+    tried = tuple(usual[:: max(1, len(usual) // TRIED)][:TRIED])
+    largest = max(max(one) for one in sizes)
+    return RunInput(path, False, photos, digest=digest, tried=tried, largest=largest)
 
 
 def measure_data(folder: Path) -> Photos:

@@ -153,7 +153,8 @@ def run(
         if found is not None:
             chosen = {"steps": steps, "max_size": max_size, "seed": seed, **(settings or {})}
             found.check(output, given, seconds, chosen)
-            found = _planned_for(found, seconds, on_event)
+            there = given.posed or (output / DATA).is_dir()
+            found = _planned_for(found, seconds, there, on_event)
         allowed = seconds or (found.time if found else DEFAULT_SECONDS)
         record = found or _record(given, allowed)
         given, shown = _shortened(given, allowed), shown or Presentation()
@@ -250,12 +251,18 @@ def _check_settings(settings: Mapping[str, Any]) -> None:
         raise UsageError("size_lambda: follows from target_size; give one of the two")
 
 
-def _planned_for(found: RunRecord, seconds: float | None, on_event: OnEvent) -> RunRecord:
-    """The record of a run; without its settings if the run is to take other ``seconds``."""
+def _planned_for(
+    found: RunRecord, seconds: float | None, posed: bool, on_event: OnEvent
+) -> RunRecord:
+    """The record of a run; without its settings if the run is to take other ``seconds``.
+
+    ``posed``: its poses are there, so that it is decided whether they are tested.
+    """
     if seconds in (None, found.time):
         return found
-    on_event(Note("the poses are kept; training is planned again and starts over"))
-    plan = {name: value for name, value in found.plan.items() if name != "hurry"}
+    kept = "the poses are kept; training" if posed else "the run"
+    on_event(Note(f"{kept} is planned again{' and starts over' * posed}"))
+    plan = {name: value for name, value in found.plan.items() if posed or name != "hurry"}
     return replace(found, time=seconds, settings={}, made={}, plan=plan)
 
 
@@ -302,6 +309,7 @@ class _Planner:
             training = self.plan_training(given.photos, 0.0, given.path)
         else:
             preparing = prepare_seconds(given.photos, CORES, hurry or given.pointless)
+            preparing *= not self.stages.posed
             training = self.plan_training(given.photos, preparing, None)
         return RunPlan(given, training, self.stages.device.name, hurry, self.allowed)
 

@@ -85,6 +85,11 @@ class RunStages:
         """The device of all stages, opened when it is first needed."""
         return Device(self._device_name)
 
+    @property
+    def posed(self) -> bool:
+        """Whether poses were found by an earlier call."""
+        return (self._out / DATA).is_dir()
+
     def measure_speed(self, photos: Photos, data: Path | None) -> StepSpeed:
         """The speed of steps on the data set ``data`` of these photos, or on a synthetic scene."""
         self._on_event(Note("measuring how fast this device trains"))
@@ -94,12 +99,10 @@ class RunStages:
 
     def try_photos(self, given: RunInput) -> Photos:
         """The photos of a run with what a few of them tell, if their poses are wanted."""
-        photos = given.photos
-        if not given.tried:
-            return photos
+        if not given.tried or self.posed:
+            return given.photos
         self._on_event(Note(f"trying {len(given.tried)} of the photos"))
-        size = max(photos.width, photos.height)
-        return replace(photos, trial=try_photos(self.device, given.tried, size))
+        return replace(given.photos, trial=try_photos(self.device, given.tried, given.largest))
 
     def begin(self, kept: Collection[str]) -> None:
         """Write the record, and remove the files of an earlier run but those of these names."""
@@ -260,7 +263,7 @@ class RunStages:
         links |= {"ordinary Gaussians": GAUSSIANS, "poses of the photos": f"{DATA}/{REPORT}"}
         sketch, steps = "", record.plan.get("steps", SKETCH_STEPS)
         if steps < SKETCH_STEPS:
-            longer = f"{ceil(SKETCH_TIMES * record.time / 60)}m"
+            longer = f"{ceil(SKETCH_TIMES * sum(record.seconds.values()) / 60)}m"
             more = command_line("run", given.path, "-o", out, "--resume", "--time", longer)
             sketch = f"A sketch: {steps:,} steps. More time makes it sharp: {more}"
         words = ["run", given.path, "-o", out, *setting_options(record.settings)]
