@@ -123,7 +123,7 @@ def judge(
 
 
 def unconfirmed(choice: ModelChoice, second: Any | None) -> list[str]:
-    """List the photos of the kept model that are to be placed again.
+    """List the photos of the kept model that should be placed again.
 
     The second reconstruction lacks them or places them elsewhere, or their own matches contradict
     their poses: both reconstructions may have made the same mistake.

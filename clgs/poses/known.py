@@ -37,7 +37,7 @@ SEEN_APART = 1.5
 """Degrees between the rays to what two photos share, from which they show a direction."""
 
 ENOUGH_PAIRS = 5
-"""With fewer directions these are not asked."""
+"""Directions are not asked if there are fewer."""
 
 MIXED_UP = {
     "camera to world is taken for world to camera": (True, 1),
@@ -116,8 +116,8 @@ def read_known(source: Path, found: Collection) -> Known:
     if lost:
         more = ", ..." * (len(lost) > NAMED)
         _log.warning(
-            "%s: %d of its photos are not in %s: %s",
-            *(source, len(lost), found.root, ", ".join(sorted(lost)[:NAMED]) + more),
+            "%s: %s lacks %d of its photos: %s",
+            *(source, found.root, len(lost), ", ".join(sorted(lost)[:NAMED]) + more),
         )
     return Known(str(source), photos, given.kind, given.frame, given.place)
 

@@ -16,11 +16,14 @@ from clgs.cli.main import explain
 from clgs.data.dataset import load_dataset, read_photo_set
 from clgs.errors import DataError
 from clgs.poses.evidence import Poses
+from clgs.poses.find import find_photos
 from clgs.poses.gps import GPS, fit, read_place, read_positions
+from clgs.poses.known import read_known
 from clgs.poses.prepare import prepare
 from clgs.poses.verdict import GOOD
 from clgs.scene.world import EARTH, axes_at, geocentric, place_of
 from tests.data.folders import opengl, save_json, write_noise, write_room_photos
+from tests.data.programs.captures import Capture, metashape_xml
 
 pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
 
@@ -140,6 +143,22 @@ def test_poses_of_other_photos_are_refused_in_a_line(tmp_path: Path):
         prepare(photos, tmp_path / "data", poses=tmp_path / "capture")
     assert "\n" not in explain(caught.value)
     assert not (tmp_path / "data").exists()
+
+
+def test_a_file_of_cameras_needs_no_photos_next_to_it(tmp_path: Path, caplog):
+    capture = Capture(tmp_path / "capture")
+    capture.photos(tmp_path / "photos")
+    (tmp_path / "photos" / capture.names[2]).unlink()
+    given = tmp_path / "cameras"
+    given.mkdir()
+    (given / "right.xml").write_text(metashape_xml(capture))
+    (given / "a_wrong.xml").write_text("<document/>")
+    known = read_known(given / "right.xml", find_photos(tmp_path / "photos"))
+    assert len(known.photos) == len(capture.names) - 1
+    (line,) = caplog.messages
+    assert f"photos lacks 1 of its photos: {Path(capture.names[2]).stem}" in line
+    with pytest.raises(DataError, match=r"a_wrong\.xml"):
+        read_known(given / "a_wrong.xml", find_photos(tmp_path / "photos"))
 
 
 def tag(path: Path, place: tuple[float, float, float], without: tuple[int, ...] = ()) -> None:
