@@ -40,6 +40,7 @@ class Display:
         self._bar: Progress | None = None
         self._stage = ""
         self._first, self._began, self._printed = 0, clock(), clock()
+        self._complete = False
         self._psnr = self._size = ""
 
     def __enter__(self) -> Self:
@@ -81,7 +82,7 @@ class Display:
     def _begin(self, stage: str, first: int) -> None:
         """Begin a stage of which ``first`` are done already."""
         self.stop()
-        self._stage, self._first = stage, first
+        self._stage, self._first, self._complete = stage, first, False
         self._began = self._printed = self._clock()
         if not self._console.is_terminal:
             return
@@ -101,8 +102,9 @@ class Display:
             self._bar.update(task, completed=done, total=total or None, note=note)
             return
         now = self._clock()
-        if done == total > 0 or now - self._printed >= PLAIN_SECONDS:
-            self._printed = now
+        complete = done == total > 0 and not self._complete
+        if complete or now - self._printed >= PLAIN_SECONDS:
+            self._printed, self._complete = now, complete or self._complete
             line = describe(self._stage, done, total, now - self._began, self._first)
             tell(f"{line}  {note}" if note else line)
 

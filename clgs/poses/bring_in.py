@@ -251,7 +251,8 @@ def _check_enough(found: Collection, least: int = LEAST_PHOTOS) -> None:
     if len(found.photos) < least:
         skipped = "".join(f"; {line.removeprefix(f'{found.root}: ')}" for line in found.lines())
         raise DataError(
-            f"{found.root}: {len(found.photos)} photos that can be read (JPEG, PNG, WebP, HEIC); "
+            f"{found.root}: {len(found.photos)} photo{'s' * (len(found.photos) != 1)} that can be "
+            "read (JPEG, PNG, WebP, HEIC); "
             f"at least {least} {'is' if least == 1 else 'are'} needed{skipped}"
         )
 
