@@ -55,7 +55,7 @@ def test_without_a_terminal_long_work_prints_a_line_now_and_then(capsys):
         for clock.now in (4.0, PLAIN_SECONDS + 2, PLAIN_SECONDS + 4, 30.0):
             advance()
         display(StageProgress("short", 0, 1))
-        display(StageProgress("short", 0, 1))
+        display(StageProgress("short", 1, 1))
         display(StageProgress("short", 1, 1))
         clock.now = 60.0
         display(TRAINING)

@@ -143,13 +143,16 @@ def test_a_trial_tells_of_features_and_of_the_machine():
             (found, search, PRODUCT_SECONDS),  # as usual
             (found, 3 * search, 3 * PRODUCT_SECONDS),  # on a slow machine
             (found / 10, search, PRODUCT_SECONDS),  # little to see
+            (found, search, PRODUCT_SECONDS, 0.0),  # each photo shows another place
         )
     ]
-    same, slow, plain = (poses_time(one, 2, False) for one in tried)
+    same, slow, plain, apart = (poses_time(one, 2, False) for one in tried)
     assert same.seconds == pytest.approx(usual.seconds)
     assert slow.seconds == pytest.approx(3 * (usual.seconds - FIXED_SECONDS) + FIXED_SECONDS)
     assert plain.features == pytest.approx(usual.features)
     assert plain.matches < usual.matches / 2
+    assert apart.matches < usual.matches / 2
+    assert apart.other < usual.other
 
 
 def test_poses_are_tested_if_there_is_time():

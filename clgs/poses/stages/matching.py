@@ -95,9 +95,9 @@ def _find(
     """
     if len(workspace.names) <= MAX_FULL:
         first = MAX_DESCRIPTORS
-    alike = pairs_alike(workspace, pairs)
-    count = _counter(workspace, "matches", len(pairs) - len(alike), len(pairs))
-    found = _match(workspace, alike, MAX_RATIO, count, first)
+    chosen = pairs_alike(workspace, pairs)
+    count = _counter(workspace, "matches", len(pairs) - len(chosen), len(pairs))
+    found = _match(workspace, chosen, MAX_RATIO, count, first)
     best = defaultdict[int, list[int]](list)
     for pair, matches in found.items():
         for place in pair:
@@ -110,11 +110,11 @@ def _find(
     with workspace.open() as database:
         numbers = workspace.ids(database)
         rich = [database.num_keypoints_for_image(one) > first for one in numbers]
-    again = [(a, b) for a, b in alike if thin & {a, b} and (rich[a] or rich[b])]
+    again = [(a, b) for a, b in chosen if thin & {a, b} and (rich[a] or rich[b])]
     if again:
         count = _counter(workspace, "all features", 0, len(again))
         found |= _match(workspace, again, MAX_RATIO, count)
-    shortened = any(rich[a] or rich[b] for a, b in set(alike).difference(again))
+    shortened = any(rich[a] or rich[b] for a, b in set(chosen).difference(again))
     return _write(workspace, found), shortened
 
 
@@ -140,29 +140,45 @@ def match_in_full(workspace: Workspace, pairs: Sequence[Pair]) -> None:
 
 def pairs_alike(workspace: Workspace, pairs: Sequence[Pair]) -> list[Pair]:
     """Select the pairs whose largest features agree on a turn and a change of scale."""
-    device, chosen, shapes = workspace.device, list[Bytes](), list[npt.NDArray[np.float64]]()
     with workspace.open() as database:
-        for number in workspace.ids(database):
-            keypoints = np.asarray(database.read_keypoints(number), np.float64)
-            shape = turn_and_scale(keypoints)
-            largest = np.argsort(-shape[:, 1], kind="stable")[:LOOK_FEATURES]
-            chosen.append(database.read_descriptors(number).data[largest])
-            shapes.append(shape[largest])
-    uploaded = nearest_descriptors.upload(device, chosen)
+        features = [
+            (database.read_keypoints(number), database.read_descriptors(number).data)
+            for number in workspace.ids(database)
+        ]
     count = _counter(workspace, "looks", 0, len(pairs))
-    alike = []
+    return alike(workspace.device, features, pairs, count)
+
+
+def alike(
+    device: Device,
+    features: Sequence[tuple[npt.ArrayLike, Bytes]],
+    pairs: Sequence[Pair],
+    on_looked: Callable[[int], None] = lambda count: None,
+) -> list[Pair]:
+    """Select the pairs whose largest features agree on a turn and a change of scale.
+
+    features: keypoints (N, 6) and descriptors (N, 128) of each photo; ``on_looked`` receives the
+    number of pairs that were looked at since its last call.
+    """
+    chosen, shapes = list[Bytes](), list[npt.NDArray[np.float64]]()
+    for keypoints, descriptors in features:
+        shape = turn_and_scale(np.asarray(keypoints, np.float64))
+        largest = np.argsort(-shape[:, 1], kind="stable")[:LOOK_FEATURES]
+        chosen.append(descriptors[largest])
+        shapes.append(shape[largest])
+    uploaded, found = nearest_descriptors.upload(device, chosen), list[Pair]()
     for start in range(0, len(pairs), LOOK_BATCH):
         some = pairs[start : start + LOOK_BATCH]
-        found = mutual_matches(device, uploaded, chosen, some, MAX_RATIO)
-        for (a, b), matches in zip(some, found, strict=True):
+        matched = mutual_matches(device, uploaded, chosen, some, MAX_RATIO)
+        for (a, b), matches in zip(some, matched, strict=True):
             change = shapes[a][matches[:, 0]] - shapes[b][matches[:, 1]]
             between = change[:, None] - change
             turn = np.abs((between[..., 0] + np.pi) % (2 * np.pi) - np.pi)
             near = (turn <= SAME_TURN) & (np.abs(between[..., 1]) <= SAME_SCALE)
             if near.sum(1).max(initial=0) >= MIN_ALIKE:  # those that agree with one of them
-                alike.append((a, b))
-        count(len(some))
-    return alike
+                found.append((a, b))
+        on_looked(len(some))
+    return found
 
 
 def turn_and_scale(keypoints: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

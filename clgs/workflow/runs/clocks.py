@@ -21,9 +21,9 @@ from clgs.data.images import Pixels
 from clgs.data.view import StoredPhoto, View
 from clgs.errors import DataError
 from clgs.opencl.device import Device
-from clgs.ops.match import MAX_DESCRIPTORS, Bytes, upload
-from clgs.poses.stages.features import find_features, opencv
-from clgs.poses.stages.matching import FIRST_FEATURES, MAX_RATIO, mutual_matches
+from clgs.ops.match import MAX_DESCRIPTORS, upload
+from clgs.poses.stages.features import Found, find_features, opencv
+from clgs.poses.stages.matching import FIRST_FEATURES, MAX_RATIO, alike, mutual_matches
 from clgs.poses.stages.pairs import all_pairs
 from clgs.poses.workspace import THREADS
 from clgs.scene.camera import Camera
@@ -161,9 +161,9 @@ def try_photos(device: Device, files: Sequence[Path], size: int) -> TriedPhotos 
     """
     cv2, began = opencv("features"), time.perf_counter()
 
-    def search(photo: Path) -> Bytes | None:
+    def search(photo: Path) -> Found | None:
         try:
-            return find_features(cv2, photo, None, size, MAX_DESCRIPTORS)[1]
+            return find_features(cv2, photo, None, size, MAX_DESCRIPTORS)
         except DataError:  # it is named when all are read
             return None
 
@@ -175,15 +175,16 @@ def try_photos(device: Device, files: Sequence[Path], size: int) -> TriedPhotos 
     if not found:
         return None
     seconds = (time.perf_counter() - began) * min(THREADS, len(files)) / len(found)
-    largest = [one[:FIRST_FEATURES] for one in found]
+    largest = [descriptors[:FIRST_FEATURES] for _, descriptors in found]
     uploaded, pairs = upload(device, largest), all_pairs(len(found))
-    mutual_matches(device, uploaded, largest, pairs[:1], MAX_RATIO)  # builds the kernel
+    share = len(alike(device, found, pairs)) / max(1, len(pairs))  # builds the kernel, too
     began = time.perf_counter()
     mutual_matches(device, uploaded, largest, pairs, MAX_RATIO)
     taken = (time.perf_counter() - began) * used_cores(THREADS)
     products = sum(len(largest[a]) * len(largest[b]) for a, b in pairs)
-    features = float(np.mean([len(one) for one in found]))
-    return TriedPhotos(features, seconds, taken / products if products else PRODUCT_SECONDS)
+    features = float(np.mean([len(descriptors) for _, descriptors in found]))
+    product = taken / products if products else PRODUCT_SECONDS
+    return TriedPhotos(features, seconds, product, share)
 
 
 OFF = 0.3

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from clgs.data.reduction import IGNORE, OBJECT
 from clgs.poses.stages.check import fit_together
 from clgs.poses.stages.features import FINEST_SIZE, MAX_FEATURES, QUICK_FEATURES
+from clgs.poses.stages.mapping import MANY
 from clgs.poses.stages.matching import FIRST_FEATURES, MAX_FULL
 from clgs.poses.stages.pairs import MAX_EXHAUSTIVE
 from clgs.train.step.schedule import COARSE_STAGES
@@ -44,18 +45,22 @@ KEPT = 1.2
 FEATURES_PER_PIXEL = 2.4e-3
 """Features per pixel that is searched, of photos that were not tried."""
 
-PAIR_SECONDS, PRODUCT_SECONDS, GEOMETRY_SECONDS = 0.004, 3.2e-9, 0.02
+PAIR_SECONDS, PRODUCT_SECONDS, GEOMETRY_SECONDS = 0.004, 3.2e-9, 0.017
 """Seconds of one core per pair of photos, for the cheap look; per product of a feature of one with
 a feature of the other, if none was tried; and for the geometry of the pair."""
 
-MAPPING_SECONDS, MAPPING_GROWTH = {True: 0.28, False: 0.5}, 400
+MAPPING_SECONDS, SOLVING_SECONDS, SOLVING_GROWTH = {True: 0.32, False: 0.54}, 0.06, 400
 """Seconds per photo of FIRST_FEATURES of mappers, which use one core, for one reconstruction or for
-two; a second more per this number of photos."""
+two, and of any photo; of the global mapper, which has more than MANY, one per this number of them.
+"""
 
 WRITTEN_SECONDS = 0.08e-6
 """Seconds per pixel that is undistorted and written."""
 
 FIXED_SECONDS = 2.5
+
+NEAR_PAIRS = 10
+"""At least this many pairs per photo are matched."""
 
 MOST_PAIRS = 19
 """About this many pairs per photo are matched in sets of more than MAX_EXHAUSTIVE photos."""
@@ -99,12 +104,14 @@ class TriedPhotos:
     """What a few photos of a run tell of all.
 
     features: that a photo has; seconds: of one core, to find them; product: seconds of one core per
-    product of a feature of a photo with one of another.
+    product of a feature of a photo with one of another; alike: share of their pairs that a cheap
+    look passes, though the photos are far apart by name.
     """
 
     features: float
     seconds: float
     product: float
+    alike: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -249,22 +256,25 @@ def poses_time(photos: Photos, cores: int, quick: bool) -> PosesTime:
     count, cores = photos.count, used_cores(cores)
     shrink = min(2.0, FINEST_SIZE / max(photos.width, photos.height))
     searched = photos.width * photos.height * shrink**2
-    found, product, pace = FEATURES_PER_PIXEL * searched, PRODUCT_SECONDS, 1.0
+    found, product, pace, share = FEATURES_PER_PIXEL * searched, PRODUCT_SECONDS, 1.0, 1.0
     search = PHOTO_SECONDS + PIXEL_SECONDS * searched
     if (trial := photos.trial) is not None:
-        found, product = trial.features, trial.product
+        found, product, share = trial.features, trial.product, trial.alike
         pace = trial.seconds / (search + FEATURE_SECONDS * found)
     features = count * KEPT * pace * (search + FEATURE_SECONDS * found)
     found = min(found, QUICK_FEATURES if quick else MAX_FEATURES)
     used = found if count <= MAX_FULL else min(found, FIRST_FEATURES)
     pairs = count * (count - 1) / 2 if count <= MAX_EXHAUSTIVE else MOST_PAIRS * count
+    near = min(pairs, (NEAR_PAIRS if count <= MAX_EXHAUSTIVE else MOST_PAIRS) * count)
+    matched = near + share * (pairs - near)
     once = quick or (cores > 1 and fit_together(count))  # the second one is made meanwhile
-    mapping = MAPPING_SECONDS[once] * used / FIRST_FEATURES + count / MAPPING_GROWTH
+    mapping = MAPPING_SECONDS[once] * used / FIRST_FEATURES
+    mapping += count / SOLVING_GROWTH if count > MANY else SOLVING_SECONDS
     written = WRITTEN_SECONDS * photos.at(SIZES[0])
-    other = pairs * GEOMETRY_SECONDS / cores + count * (mapping + written)
+    other = matched * GEOMETRY_SECONDS / cores + count * (mapping + written)
     return PosesTime(
         features / cores,
-        pairs * (pace * PAIR_SECONDS + product * used**2) / cores,
+        (pairs * pace * PAIR_SECONDS + matched * product * used**2) / cores,
         FIXED_SECONDS + pace * other,
     )
 
