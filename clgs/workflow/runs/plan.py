@@ -60,7 +60,7 @@ WRITTEN_SECONDS = 0.08e-6
 FIXED_SECONDS = 2.5
 
 NEAR_PAIRS = 10
-"""At least this many pairs per photo are matched."""
+"""This many pairs per photo are matched in any case."""
 
 MOST_PAIRS = 19
 """About this many pairs per photo are matched in sets of more than MAX_EXHAUSTIVE photos."""
