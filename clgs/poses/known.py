@@ -20,7 +20,7 @@ from clgs.data.dataset import read_photo_set
 from clgs.data.images import image_size
 from clgs.data.lens import Lens
 from clgs.data.posed_photo import Photo, PhotoSet, from_plain, to_plain, to_y_up
-from clgs.data.programs import metashape, realityscan
+from clgs.data.programs import FILES
 from clgs.errors import DataError
 from clgs.poses.evidence import Evidence, Poses, angle, common_similarity, differences, poses_of
 from clgs.poses.find import Collection, Found, new_name
@@ -45,9 +45,6 @@ MIXED_UP = {
     "camera to world is taken for world to camera, and OpenGL's axes for OpenCV's": (True, -1),
 }
 """What may be wrong with all poses: whether they are inverted, and the sign of cameras' y and z."""
-
-FILES = {".xml": metashape.read, ".csv": realityscan.read}
-"""Readers of files whose photos need not lie next to them."""
 
 NAMED = 5
 
@@ -124,6 +121,8 @@ def read_known(source: Path, found: Collection) -> Known:
 
 def _read_set(source: Path, photos: Path) -> PhotoSet:
     """Read a data set, or that of a file; the photos of some files may lie in ``photos`` alone."""
+    if not source.exists():
+        raise DataError(f"{source}: no such file or folder; check the path")
     read = FILES.get(source.suffix.lower()) if source.is_file() else None
     if read is None:
         return read_photo_set(source.parent if source.is_file() else source)

@@ -157,6 +157,8 @@ def test_a_file_of_cameras_needs_no_photos_next_to_it(tmp_path: Path, caplog):
     assert len(known.photos) == len(capture.names) - 1
     (line,) = caplog.messages
     assert f"photos lacks 1 of its photos: {Path(capture.names[2]).stem}" in line
+    with pytest.raises(DataError, match=r"none\.xml: no such file or folder"):
+        read_known(given / "none.xml", find_photos(tmp_path / "photos"))
     with pytest.raises(DataError, match=r"a_wrong\.xml"):
         read_known(given / "a_wrong.xml", find_photos(tmp_path / "photos"))
 

@@ -18,6 +18,9 @@ FORMATS = (
 )
 """What finds the file of cameras in a folder, and what reads the photos by that file."""
 
+FILES = {".xml": metashape.read, ".csv": realityscan.read}
+"""What reads a file whose photos need not lie next to it, by its suffix."""
+
 
 def find_reader(root: Path) -> Callable[[], PhotoSet] | None:
     """What reads the data set in ``root``; None if no program's cameras are there."""

@@ -142,7 +142,7 @@ def pairs_alike(workspace: Workspace, pairs: Sequence[Pair]) -> list[Pair]:
     """Select the pairs whose largest features agree on a turn and a change of scale."""
     with workspace.open() as database:
         features = [
-            (database.read_keypoints(number), database.read_descriptors(number).data)
+            most_telling(database.read_keypoints(number), database.read_descriptors(number).data)
             for number in workspace.ids(database)
         ]
     count = _counter(workspace, "looks", 0, len(pairs))
@@ -151,21 +151,16 @@ def pairs_alike(workspace: Workspace, pairs: Sequence[Pair]) -> list[Pair]:
 
 def alike(
     device: Device,
-    features: Sequence[tuple[npt.ArrayLike, Bytes]],
+    features: Sequence[tuple[npt.NDArray[np.float64], Bytes]],
     pairs: Sequence[Pair],
     on_looked: Callable[[int], None] = lambda count: None,
 ) -> list[Pair]:
     """Select the pairs whose largest features agree on a turn and a change of scale.
 
-    features: keypoints (N, 6) and descriptors (N, 128) of each photo; ``on_looked`` receives the
-    number of pairs that were looked at since its last call.
+    features: of each photo, see :func:`most_telling`; ``on_looked`` receives the number of pairs
+    that were looked at since its last call.
     """
-    chosen, shapes = list[Bytes](), list[npt.NDArray[np.float64]]()
-    for keypoints, descriptors in features:
-        shape = turn_and_scale(np.asarray(keypoints, np.float64))
-        largest = np.argsort(-shape[:, 1], kind="stable")[:LOOK_FEATURES]
-        chosen.append(descriptors[largest])
-        shapes.append(shape[largest])
+    shapes, chosen = [shape for shape, _ in features], [one for _, one in features]
     uploaded, found = nearest_descriptors.upload(device, chosen), list[Pair]()
     for start in range(0, len(pairs), LOOK_BATCH):
         some = pairs[start : start + LOOK_BATCH]
@@ -179,6 +174,18 @@ def alike(
                 found.append((a, b))
         on_looked(len(some))
     return found
+
+
+def most_telling(
+    keypoints: npt.ArrayLike, descriptors: Bytes
+) -> tuple[npt.NDArray[np.float64], Bytes]:
+    """Turn and scale (M, 2), see :func:`turn_and_scale`, and descriptors of the largest features.
+
+    keypoints, descriptors: (N, 6) and (N, 128) of a photo; M is at most LOOK_FEATURES.
+    """
+    shape = turn_and_scale(np.asarray(keypoints, np.float64))
+    largest = np.argsort(-shape[:, 1], kind="stable")[:LOOK_FEATURES]
+    return shape[largest], descriptors[largest]
 
 
 def turn_and_scale(keypoints: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -23,7 +23,13 @@ from clgs.errors import DataError
 from clgs.opencl.device import Device
 from clgs.ops.match import MAX_DESCRIPTORS, upload
 from clgs.poses.stages.features import Found, find_features, opencv
-from clgs.poses.stages.matching import FIRST_FEATURES, MAX_RATIO, alike, mutual_matches
+from clgs.poses.stages.matching import (
+    FIRST_FEATURES,
+    MAX_RATIO,
+    alike,
+    most_telling,
+    mutual_matches,
+)
 from clgs.poses.stages.pairs import all_pairs
 from clgs.poses.workspace import THREADS
 from clgs.scene.camera import Camera
@@ -177,14 +183,14 @@ def try_photos(device: Device, files: Sequence[Path], size: int) -> TriedPhotos 
     seconds = (time.perf_counter() - began) * min(THREADS, len(files)) / len(found)
     largest = [descriptors[:FIRST_FEATURES] for _, descriptors in found]
     uploaded, pairs = upload(device, largest), all_pairs(len(found))
-    share = len(alike(device, found, pairs)) / max(1, len(pairs))  # builds the kernel, too
+    looked = alike(device, [most_telling(*one) for one in found], pairs)  # builds the kernel, too
     began = time.perf_counter()
     mutual_matches(device, uploaded, largest, pairs, MAX_RATIO)
     taken = (time.perf_counter() - began) * used_cores(THREADS)
     products = sum(len(largest[a]) * len(largest[b]) for a, b in pairs)
     features = float(np.mean([len(descriptors) for _, descriptors in found]))
     product = taken / products if products else PRODUCT_SECONDS
-    return TriedPhotos(features, seconds, product, share)
+    return TriedPhotos(features, seconds, product, len(looked) / max(1, len(pairs)))
 
 
 OFF = 0.3
