@@ -58,6 +58,26 @@ def test_a_batch_has_the_lambda_of_as_many_views():
         assert grown.size_lambda == some.size_lambda
 
 
+@pytest.mark.parametrize(
+    ("kind", "values", "threshold"),
+    [
+        ("blender", {}, 2e-4),
+        ("colmap", {"size_lambda": 0.9 * 10**0.7 * 4}, 2e-4),
+        ("colmap", {"size_lambda": 0.9 * 10**0.7 / 4}, 1e-4),
+        ("blender", {"size_lambda": 0.33 * 10**0.7 / 2}, 2e-4 / 2**0.5),
+        ("blender", {"size_lambda": 1e-9}, 1e-4),
+        ("blender", {"size_lambda": 0.0}, 2e-4),
+        ("blender", {"target_size": 100_000}, 0.0),
+        ("blender", {"target_size": 100_000, "growth_threshold": 3e-4}, 3e-4),
+        ("colmap", {"size_lambda": 1e-9, "growth_threshold": 3e-4}, 3e-4),
+    ],
+)
+def test_the_growth_threshold_follows_the_price(kind, values, threshold):
+    config = TrainConfig(**values).for_dataset(kind)
+    assert config.growth_threshold == pytest.approx(threshold)
+    assert config.for_dataset(kind) == config
+
+
 def test_given_settings_win_over_the_dataset():
     config = TrainConfig(voxel=0.01, volume_weight=0.0).for_dataset("colmap")
     assert (config.voxel, config.position_q, config.volume_weight) == (0.01, 100.0, 0.0)

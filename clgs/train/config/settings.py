@@ -33,8 +33,10 @@ from clgs.train.config.run_settings import (
 from clgs.train.config.size_settings import (
     AMPLE,
     ANCHOR_BITS,
+    GROWTH_THRESHOLD,
     LEARNING,
     LEAST_TARGET,
+    LEAST_THRESHOLD,
     MLP_BYTES,
     GrowthSettings,
     SizeSettings,
@@ -261,16 +263,16 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
     def for_dataset(self, kind: str) -> TrainConfig:
         """Values left open (voxel, position_q, volume_weight, lambda, start_mlps) by kind of data.
 
-        "blender" is a synthetic scene; any other ``kind`` is photos.
+        "blender" is a synthetic scene; any other ``kind`` is photos. The growth threshold follows
+        lambda, or stays open if a size is asked for: growth finds it.
         """
         synthetic = kind == BLENDER
         voxel = self.voxel or (0.001 if synthetic else 0.005)
         weight = (0.0 if synthetic else 0.01) if self.volume_weight is None else self.volume_weight
         paper_q = (1024.0 if synthetic else 200.0) if self.preset == "paper" else 0.0
         position_q = self.position_q or paper_q or 1.0 / voxel
-        price = self.size_lambda
-        if price is None:
-            price = default_lambda(kind, self.steps * self.batch)
+        usual = default_lambda(kind, self.steps * self.batch)
+        price = usual if self.size_lambda is None else self.size_lambda
         priced = price > 0 or self.target_size > 0
         fine = {} if priced else {name: getattr(self, name) or q for name, q in FINE_Q.items()}
         return replace(
@@ -279,9 +281,20 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
             volume_weight=weight,
             position_q=position_q,
             size_lambda=price,
+            growth_threshold=self.growth_threshold or self._threshold(price / usual),
             start_mlps=self.start_mlps or (OBJECTS if synthetic else TRAINED),
             **fine,
         )
+
+    def _threshold(self, price: float) -> float:
+        """The growth threshold at ``price`` times the usual lambda; 0: growth finds it.
+
+        Cheap bytes buy more from small anchors than from fine digits of few large ones.
+        """
+        if self.target_size:
+            return 0.0
+        cheap = 0.0 < price < 1.0
+        return max(LEAST_THRESHOLD, GROWTH_THRESHOLD * (math.sqrt(price) if cheap else 1.0))
 
     def for_devices(self, count: int) -> TrainConfig:
         """The same run with at least a view per step for each of ``count`` devices.

@@ -21,6 +21,12 @@ AMPLE = 1.5
 more had to go once integers have a price, each anchor would be left too few digits.
 """
 
+GROWTH_THRESHOLD = 2e-4
+"""The growth threshold of Scaffold-GS, which runs with the usual price keep."""
+
+LEAST_THRESHOLD = 1e-4
+"""The smallest that a small price leads to: half of it doubles the anchors, and so the time."""
+
 LEARNING = 10
 """Steps below which anchors have nearly no digits yet, and only many of them fill a file."""
 
@@ -118,10 +124,12 @@ class GrowthSettings:
         100, "steps between changes of the anchors (code)", at_least(1), unit="steps"
     )
     growth_threshold: float = option(
-        2e-4,
+        0.0,
         "mean screen gradient from which a slot asks for an anchor; doubles per level",
         at_least(0),
         unit="per NDC unit",
+        open_default="2e-4 (code); with less than the usual lambda as much less as the root of "
+        "their ratio, but at least 1e-4; with target_size as much less as fills the file",
     )
     growth_levels: int = option(
         3,

@@ -13,6 +13,7 @@ from clgs.errors import DataError, UsageError
 from clgs.train.config.option import Option, options_of
 from clgs.train.config.run_settings import LearningRates
 from clgs.train.config.settings import PAPER_Q, TrainConfig
+from clgs.train.config.size_settings import GROWTH_THRESHOLD
 
 MAX_BYTES = 1 << 20
 """A larger file holds no settings."""
@@ -50,6 +51,7 @@ def preset(name: str) -> TrainConfig:
             proxy="pooled",
             size_lambda=0.0,
             rate_weight=1e-4,
+            growth_threshold=GROWTH_THRESHOLD,
             freeze_step=config.steps,
             average=False,
             **PAPER_Q,

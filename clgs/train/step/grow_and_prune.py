@@ -23,6 +23,7 @@ from clgs.ops import density, growth
 from clgs.ops.growth import NewAnchors
 from clgs.render.frame import Frame, SceneGradients
 from clgs.train.config import TrainConfig
+from clgs.train.config.size_settings import GROWTH_THRESHOLD, LEAST_THRESHOLD
 from clgs.train.state.run_state import ANCHOR_GROUPS, NOTHING_LEFT, HostRows, Parameters
 from clgs.train.state.voxel_grid import Floats, VoxelWindow, cells_of, occur, voxels_of
 
@@ -49,13 +50,13 @@ def wanted_anchors(
     """Anchors to add at slots with a large screen gradient.
 
     At level i, slots seen more than ``slot_seen`` times with a mean gradient of at least
-    ``growth_threshold`` * 2^i ask, with probability 1 - 0.5^(i+1), for an anchor at their position
-    rounded to cells of ``growth_cell`` // 4^i voxels. Cells that hold no anchor get one, with
-    log(cell edge) as scalings; those that asked are its parents. Levels with cells below a voxel
-    are skipped, and those after a first level that added nothing. Cells outside the box, if one is
-    given, and more than 2^20 voxels from
-    the middle of the anchors are not served, and none once there are ``most_anchors``: the first
-    slots to ask are then those with the largest gradient.
+    2^i times the :func:`threshold` ask, with probability 1 - 0.5^(i+1), for an anchor at their
+    position rounded to cells of ``growth_cell`` // 4^i voxels. Cells that hold no anchor get one,
+    with log(cell edge) as scalings; those that asked are its parents. Levels with cells below a
+    voxel are skipped, and those after a first level that added nothing. Cells outside the box, if
+    one is given, and more than 2^20 voxels from the middle of the anchors are not served, and none
+    once there are ``most_anchors``: the first slots to ask are then those with the largest
+    gradient.
 
     Args:
         position: (A, 3); NaN for anchors that are hidden, whose slots must not ask.
@@ -72,13 +73,14 @@ def wanted_anchors(
     window, box = VoxelWindow.around(occupied), config.learning_box
     most = config.most_anchors
     room = max(0, most - occupied.shape[1]) if most else 1 << 62
+    least = threshold(config, occupied.shape[1], mean)
     voxels, children, parents = [occupied], [], []
     edges: list[npt.NDArray[np.float64]] = []
     for level in range(config.growth_levels):
         factor, count = config.growth_cell // CELL_DIVISOR**level, sum(len(edge) for edge in edges)
         if factor == 0 or (level > 0 and not count):
             break
-        asking = np.flatnonzero(mean >= config.growth_threshold * THRESHOLD_FACTOR**level)
+        asking = np.flatnonzero(mean >= least * THRESHOLD_FACTOR**level)
         asking = asking[rng.random(len(asking)) > 0.5 ** (level + 1)]
         if len(asking) > (left := room - count):  # those with the largest gradient stay
             asking = np.sort(asking[np.argsort(-mean[asking], kind="stable")[:left]])
@@ -115,6 +117,19 @@ def wanted_anchors(
         first=first.astype(np.int32),
         parents=np.concatenate([np.empty(0, np.int32), *parents]).astype(np.int32),
     )
+
+
+def threshold(config: TrainConfig, anchors: int, mean: npt.NDArray[np.float64]) -> float:
+    """The mean gradient from which slots ask at level 0, if there are that many ``anchors``.
+
+    If a size is asked for that holds more, as many slots ask as anchors are missing, but those
+    below LEAST_THRESHOLD never do, and those above GROWTH_THRESHOLD always.
+    """
+    missing = min(config.held_anchors - anchors, len(mean))
+    if config.growth_threshold or missing <= 0:
+        return config.growth_threshold or GROWTH_THRESHOLD
+    last = float(np.partition(mean, -missing)[-missing])
+    return min(max(last, LEAST_THRESHOLD), GROWTH_THRESHOLD)
 
 
 NEARLY = 1.0 - 1e-5
@@ -236,7 +251,9 @@ def grow(
     Sums of slots seen more than ``slot_seen`` times are then zeroed.
     """
     statistics, anchors = parameters.statistics, parameters.scene.anchors
-    slots = growth.asking(device, statistics, config.slot_seen, NEARLY * config.growth_threshold)
+    usual = GROWTH_THRESHOLD if not config.target_size else LEAST_THRESHOLD
+    least = NEARLY * (config.growth_threshold or usual)
+    slots = growth.asking(device, statistics, config.slot_seen, least)
     with device.mapped(statistics.gradient_sum, statistics.gradient_count) as sums:
         mean = sums[0].ravel()[slots] / sums[1].ravel()[slots]
     growth.restart(device, statistics, config.slot_seen)

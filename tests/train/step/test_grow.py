@@ -15,6 +15,7 @@ from clgs.constants import K_OFFSETS
 from clgs.errors import ClgsError
 from clgs.train.config import TrainConfig
 from clgs.train.state.run_state import HostRows
+from clgs.train.step.grow_and_prune import threshold
 from tests.train.step.density_cases import (
     CONFIG,
     VOXEL,
@@ -72,6 +73,35 @@ def test_without_room_for_all_the_slots_of_the_largest_gradient_grow(device):
     assert grow(device, state, replace(CONFIG, max_anchors=4), Draws()) == 2
     assert integers_of(state)[2:] == [(108, 0, 0), (140, 0, 0)]
     assert grow(device, state, replace(CONFIG, max_anchors=4), Draws()) == 0
+
+
+def test_as_many_slots_ask_as_the_size_has_room_for():
+    config = TrainConfig(target_size=100_000).for_dataset("blender")
+    held = config.held_anchors
+    mean = np.random.default_rng(0).uniform(0, 3e-4, 1000)
+    for missing, asking in ((400, 400), (600, 600), (1, (mean >= 2e-4).sum())):
+        least = threshold(config, held - missing, mean)
+        assert 1e-4 <= least <= 2e-4
+        assert (mean >= least).sum() == asking
+    assert threshold(config, held, mean) == threshold(config, 2 * held, mean) == 2e-4
+    assert threshold(config, 0, mean) == threshold(config, held - 800, mean) == 1e-4
+    assert threshold(replace(config, growth_threshold=1e-3), 0, mean) == 1e-3
+    assert threshold(config, 0, mean[:0]) == 2e-4
+
+
+def test_slots_with_small_gradients_fill_a_size(device):
+    state = state_at([(0, 0, 0), (100, 0, 0)])
+    ask(state, 0, 0, (12.0, 0, 0), 1.2e-4)
+    ask(state, 1, 9, (8.0, 0, 0), 0.4e-4)
+    ask(state, 1, 4, (40.0, 0, 0), 2.5e-4)
+    before = copy.deepcopy(state)
+    config = TrainConfig(voxel=VOXEL).for_dataset("blender")
+    assert grow(device, before, config, Draws()) == 1
+    assert (
+        grow(device, state, replace(config, target_size=100_000, growth_threshold=0.0), Draws())
+        == 2
+    )
+    assert integers_of(state)[2:] == [(12, 0, 0), (140, 0, 0)]
 
 
 def test_large_scenes_may_use_three_levels(device):
