@@ -63,11 +63,15 @@ def test_a_batch_has_the_lambda_of_as_many_views():
     [
         ("blender", {}, 2e-4),
         ("colmap", {"size_lambda": 0.9 * 10**0.7 * 4}, 2e-4),
-        ("colmap", {"size_lambda": 0.9 * 10**0.7 / 4}, 1e-4),
+        ("colmap", {"size_lambda": 0.9 * 10**0.7 / 4}, 2e-4),
+        ("blender", {"size_lambda": 0.33 * 10**0.7 / 4}, 1e-4),
         ("blender", {"size_lambda": 0.33 * 10**0.7 / 2}, 2e-4 / 2**0.5),
         ("blender", {"size_lambda": 1e-9}, 1e-4),
         ("blender", {"size_lambda": 0.0}, 2e-4),
-        ("blender", {"target_size": 100_000}, 0.0),
+        ("blender", {"growth_threshold": 0.0}, 0.0),
+        ("blender", {"target_size": 100_000}, None),
+        ("colmap", {"target_size": 100_000}, 2e-4),
+        ("blender", {"target_size": 100_000, "growth_threshold": 0.0}, 0.0),
         ("blender", {"target_size": 100_000, "growth_threshold": 3e-4}, 3e-4),
         ("colmap", {"size_lambda": 1e-9, "growth_threshold": 3e-4}, 3e-4),
     ],
@@ -174,7 +178,7 @@ def test_toml_round_trip(config):
     assert from_toml(text).to_toml() == text
     assert from_toml(text).digest() == config.digest()
     names = {field.name for field in dataclasses.fields(config)}
-    assert names - set(tomllib.loads(text)) <= {"volume_weight", "size_lambda"}
+    assert names - set(tomllib.loads(text)) <= {"volume_weight", "size_lambda", "growth_threshold"}
 
 
 def test_digest_tells_settings_apart_but_not_spellings():

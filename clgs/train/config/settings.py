@@ -263,8 +263,8 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
     def for_dataset(self, kind: str) -> TrainConfig:
         """Values left open (voxel, position_q, volume_weight, lambda, start_mlps) by kind of data.
 
-        "blender" is a synthetic scene; any other ``kind`` is photos. The growth threshold follows
-        lambda, or stays open if a size is asked for: growth finds it.
+        "blender" is a synthetic scene; any other ``kind`` is photos. The growth threshold of
+        synthetic scenes follows lambda, or stays open if a size is asked for: growth finds it.
         """
         synthetic = kind == BLENDER
         voxel = self.voxel or (0.001 if synthetic else 0.005)
@@ -281,19 +281,23 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
             volume_weight=weight,
             position_q=position_q,
             size_lambda=price,
-            growth_threshold=self.growth_threshold or self._threshold(price / usual),
+            growth_threshold=self._threshold(synthetic, price / usual),
             start_mlps=self.start_mlps or (OBJECTS if synthetic else TRAINED),
             **fine,
         )
 
-    def _threshold(self, price: float) -> float:
-        """The growth threshold at ``price`` times the usual lambda; 0: growth finds it.
+    def _threshold(self, synthetic: bool, price: float) -> float | None:
+        """The growth threshold at ``price`` times the usual lambda; None: growth finds it.
 
-        Cheap bytes buy more from small anchors than from fine digits of few large ones.
+        Cheap bytes buy more from small anchors than from fine digits of few large ones, but among
+        photos, which do not agree with each other, that gain is lost. At 0, bytes have no price to
+        compare with.
         """
-        if self.target_size:
-            return 0.0
-        cheap = 0.0 < price < 1.0
+        if self.growth_threshold is not None:
+            return self.growth_threshold
+        if synthetic and self.target_size:
+            return None
+        cheap = synthetic and 0.0 < price < 1.0
         return max(LEAST_THRESHOLD, GROWTH_THRESHOLD * (math.sqrt(price) if cheap else 1.0))
 
     def for_devices(self, count: int) -> TrainConfig:
@@ -332,7 +336,7 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
         return render_options(self.accuracy, self.max_memory, self.smallest_anchor)
 
     def to_toml(self) -> str:
-        """The text of config.toml: every setting; an open volume weight is left out."""
+        """The text of config.toml: every setting; those that are open are left out."""
         import tomli_w
 
         return tomli_w.dumps({n: value for n, value in asdict(self).items() if value is not None})

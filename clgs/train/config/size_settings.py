@@ -123,13 +123,14 @@ class GrowthSettings:
     growth_interval: int = option(
         100, "steps between changes of the anchors (code)", at_least(1), unit="steps"
     )
-    growth_threshold: float = option(
-        0.0,
+    growth_threshold: float | None = option(
+        None,
         "mean screen gradient from which a slot asks for an anchor; doubles per level",
         at_least(0),
         unit="per NDC unit",
-        open_default="2e-4 (code); with less than the usual lambda as much less as the root of "
-        "their ratio, but at least 1e-4; with target_size as much less as fills the file",
+        open_default="2e-4 (code); in Blender scenes less if bytes are cheap, down to 1e-4: with a "
+        "lambda below the usual one, but above 0, times the root of their ratio; with target_size "
+        "as far as the size has room for more anchors",
     )
     growth_levels: int = option(
         3,

@@ -313,6 +313,8 @@ def changed_settings(folder: Path, config: TrainConfig) -> str:
         names = ["steps"]  # most others follow from it
     elif "batch" in names:
         names = [name for name in names if name != "size_lambda"]  # follows from it
+    if "size_lambda" in names or "target_size" in names:
+        names = [name for name in names if name != "growth_threshold"]  # follows from them
     shown = [
         f"{options[name].flag}: {there.get(name)} there, {here.get(name)} here"
         for name in names[:SHOWN]

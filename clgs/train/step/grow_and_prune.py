@@ -122,12 +122,15 @@ def wanted_anchors(
 def threshold(config: TrainConfig, anchors: int, mean: npt.NDArray[np.float64]) -> float:
     """The mean gradient from which slots ask at level 0, if there are that many ``anchors``.
 
-    If a size is asked for that holds more, as many slots ask as anchors are missing, but those
-    below LEAST_THRESHOLD never do, and those above GROWTH_THRESHOLD always.
+    If a size is asked for that holds more, it is the gradient that as many slots reach as anchors
+    are missing, between LEAST_THRESHOLD and GROWTH_THRESHOLD; else GROWTH_THRESHOLD.
     """
-    missing = min(config.held_anchors - anchors, len(mean))
-    if config.growth_threshold or missing <= 0:
-        return config.growth_threshold or GROWTH_THRESHOLD
+    if config.growth_threshold is not None:
+        return config.growth_threshold
+    room = min(config.held_anchors, config.most_anchors) - anchors
+    missing = min(room, len(mean))
+    if missing <= 0:
+        return GROWTH_THRESHOLD
     last = float(np.partition(mean, -missing)[-missing])
     return min(max(last, LEAST_THRESHOLD), GROWTH_THRESHOLD)
 
@@ -251,9 +254,10 @@ def grow(
     Sums of slots seen more than ``slot_seen`` times are then zeroed.
     """
     statistics, anchors = parameters.statistics, parameters.scene.anchors
-    usual = GROWTH_THRESHOLD if not config.target_size else LEAST_THRESHOLD
-    least = NEARLY * (config.growth_threshold or usual)
-    slots = growth.asking(device, statistics, config.slot_seen, least)
+    least = config.growth_threshold
+    if least is None:
+        least = LEAST_THRESHOLD if config.target_size else GROWTH_THRESHOLD
+    slots = growth.asking(device, statistics, config.slot_seen, NEARLY * least)
     with device.mapped(statistics.gradient_sum, statistics.gradient_count) as sums:
         mean = sums[0].ravel()[slots] / sums[1].ravel()[slots]
     growth.restart(device, statistics, config.slot_seen)

@@ -86,6 +86,10 @@ def test_as_many_slots_ask_as_the_size_has_room_for():
     assert threshold(config, held, mean) == threshold(config, 2 * held, mean) == 2e-4
     assert threshold(config, 0, mean) == threshold(config, held - 800, mean) == 1e-4
     assert threshold(replace(config, growth_threshold=1e-3), 0, mean) == 1e-3
+    assert threshold(replace(config, growth_threshold=0.0), 0, mean) == 0.0
+    few = replace(config, max_anchors=300)
+    assert (mean >= threshold(few, 100, mean)).sum() == max(200, (mean >= 2e-4).sum())
+    assert threshold(few, 300, mean) == 2e-4
     assert threshold(config, 0, mean[:0]) == 2e-4
 
 
@@ -95,12 +99,9 @@ def test_slots_with_small_gradients_fill_a_size(device):
     ask(state, 1, 9, (8.0, 0, 0), 0.4e-4)
     ask(state, 1, 4, (40.0, 0, 0), 2.5e-4)
     before = copy.deepcopy(state)
-    config = TrainConfig(voxel=VOXEL).for_dataset("blender")
+    config = TrainConfig(voxel=VOXEL)
     assert grow(device, before, config, Draws()) == 1
-    assert (
-        grow(device, state, replace(config, target_size=100_000, growth_threshold=0.0), Draws())
-        == 2
-    )
+    assert grow(device, state, replace(config, target_size=100_000), Draws()) == 2
     assert integers_of(state)[2:] == [(12, 0, 0), (140, 0, 0)]
 
 
