@@ -58,14 +58,19 @@ def main() -> None:
     args = parser.parse_args()
     device, options = Device(None), ViewOptions(split="test")
     files = [run / "scene.clgs" for run in (args.whole, args.blocks)]
+    for file in files:
+        if not file.is_file():
+            raise SystemExit(f"{file}: no such file; name the folder of a finished run")
+    plan = read_plan(args.blocks / BLOCKS)
+    if plan is None:
+        raise SystemExit(f"{args.blocks}: was not trained in blocks; name a run of --blocks")
     scenes = [decode(file.read_bytes()) for file in files]
     views = select_views(files[0], scenes[0], options)
     renderers = [
         Renderer(device, scene.dequantize(), drawing_options(file, options, scene))
         for file, scene in zip(files, scenes, strict=True)
     ]
-    plan, scale = read_plan(args.blocks / BLOCKS), scenes[1].scales.position
-    assert plan is not None, f"{args.blocks}: was not trained in blocks"
+    scale = scenes[1].scales.position
     squared: dict[str, list[npt.NDArray[np.float64]]] = {"border": [], "elsewhere": []}
     for view, planes in with_photos(views, scenes[0].settings.background):
         photo = planes.transpose(1, 2, 0) / 255.0
