@@ -254,9 +254,7 @@ def grow(
     Sums of slots seen more than ``slot_seen`` times are then zeroed.
     """
     statistics, anchors = parameters.statistics, parameters.scene.anchors
-    least = config.growth_threshold
-    if least is None:
-        least = LEAST_THRESHOLD if config.target_size else GROWTH_THRESHOLD
+    least = LEAST_THRESHOLD if config.growth_threshold is None else config.growth_threshold
     slots = growth.asking(device, statistics, config.slot_seen, NEARLY * least)
     with device.mapped(statistics.gradient_sum, statistics.gradient_count) as sums:
         mean = sums[0].ravel()[slots] / sums[1].ravel()[slots]
