@@ -1,6 +1,6 @@
 """A whole run in blocks: a coarse scene, blocks side by side, the merged scene.
 
-Each block gives the merged scene the anchors that it owns, and the best stay.
+Each block gives the merged scene the anchors that it owns.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from clgs.cluster.engine import (
 )
 from clgs.cluster.worker import Task, Tell, forget_peak_memory, opened_device
 from clgs.codec.scene_encoder import sort_anchors
-from clgs.data.dataset import Dataset, load_dataset
+from clgs.data.dataset import load_dataset
 from clgs.data.origin import repose
 from clgs.errors import ClgsError, DataError, UsageError
 from clgs.exports.report import write_run_report
@@ -52,7 +52,6 @@ from clgs.scene.anchors import concatenate, take
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import load_scene
 from clgs.train.config import TrainConfig
-from clgs.train.rate.economy import Economy
 from clgs.train.run.load import load_for
 from clgs.train.run.run_folder import (
     BLOCKS,
@@ -66,8 +65,6 @@ from clgs.train.run.run_folder import (
     remove_run,
 )
 from clgs.train.run.session import Progress, Session
-from clgs.train.state.rounding import Rounding
-from clgs.train.state.run_state import RunState
 from clgs.workflow.events import Note, OnEvent, StageProgress, TrainingProgress, counter, ignore
 from clgs.workflow.outputs import check_apart
 from clgs.workflow.train import TrainedRun, read_finished
@@ -89,23 +86,6 @@ def merged_scene(folder: Path, cuts: Cuts, coarse: QuantizedScene) -> QuantizedS
         owned = cuts.owner(block.anchors.position) == number
         parts.append(take(block.anchors, np.flatnonzero(owned)))
     return replace(coarse, anchors=sort_anchors(concatenate(parts)))
-
-
-def merged_state(
-    device: Device, dataset: Dataset, merged: QuantizedScene, begun: int, config: TrainConfig
-) -> RunState:
-    """The state in which all of ``merged`` learns after step ``begun``, without the least anchors.
-
-    An ordinary run leaves them out in rounds before its switch to integers, and grows others
-    after the first of these; here the rounds after the first one, up to ``begun``, follow each
-    other. Without a price all anchors stay.
-    """
-    state = block_state(device, dataset, merged, begun, config)
-    economy = Economy(device, dataset, config, Rounding(device, config))
-    for step in economy.steps[1:]:
-        if step <= begun:
-            economy.round(state, step)
-    return state
 
 
 ROWS = "rows.json"
@@ -189,7 +169,7 @@ def train_in_blocks(
         rows, columns = plan.cuts.counts
         shares = ", ".join(f"{name}: {len(names)}" for name, names in plan.train.items())
         on_event(Note(f"{rows} x {columns} blocks; training photos of each: {shares}"))
-        tasks = block_tasks(data, folder, config, plan)
+        tasks = block_tasks(data, folder, config, plan, len(coarse.scene.anchors))
         on_message = _follow(tasks, on_event)
         if workers is None and scheduler is None:
             trained = [train_block({**task, "device": device}, on_message) for task in tasks]
@@ -225,7 +205,7 @@ def _train_merged(
     on_event(Note(f"{len(merged.anchors):,} anchors merged; all learn for the steps that are left"))
     whole = load_for(config, data, folder, lambda line: on_event(Note(line)))
     whole = repose(whole, merged.transform)
-    first = partial(merged_state, device, whole, merged, joint_begin(config))
+    first = partial(block_state, device, whole, merged, joint_begin(config))
     session = Session(whole, folder, config, device, resume=True, first=first, lock=lock)
     return session.run(_report(config, on_event))
 

@@ -7,6 +7,7 @@ the cameras, so that each of its anchors is seen as often as in that run.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -25,6 +26,7 @@ from clgs.scene.storage import load_scene
 from clgs.train.config import TrainConfig, from_toml
 from clgs.train.config.option import options_of
 from clgs.train.config.settings import FINE_Q
+from clgs.train.config.size_settings import size_of
 from clgs.train.run.load import load_for, state_of_scene
 from clgs.train.run.run_folder import finished_run
 from clgs.train.run.session import Progress, Session
@@ -78,7 +80,8 @@ def coarse_config(config: TrainConfig, width: int) -> TrainConfig:
 def block_config(config: TrainConfig, share: float, box: str) -> tuple[TrainConfig, int]:
     """The settings of a block, and the number of the last step that the coarse scene did for it.
 
-    ``share``: of the cameras that the block has; ``box``: where anchors learn, as the setting says.
+    How many anchors it may have is not in them, see :func:`limited`. ``share``: of the cameras that
+    the block has; ``box``: where anchors learn, as the setting says.
     """
     own = {
         name: max(one.least, round(share * getattr(config, name)))
@@ -93,7 +96,24 @@ def block_config(config: TrainConfig, share: float, box: str) -> tuple[TrainConf
     grown = own["growth_end"] + own["growth_interval"]  # its statistics begin at zero
     own["growth_end"] = min(grown, own["steps"])
     priceless = replace(config, **own, target_size=0, max_anchors=0, box=box)
-    return _unpriced(priceless, steps), begun
+    return replace(_unpriced(priceless, steps), size_lambda=config.size_lambda), begun
+
+
+def limited(config: TrainConfig, start: QuantizedScene, task: Task) -> TrainConfig:
+    """The settings of a block that begins with ``start``, with its part of the task's limits.
+
+    That is the part of the coarse scene's anchors that may learn in it; the others count, too.
+    """
+    box = config.learning_box
+    assert box is not None
+    inside = int(box.holds(start.dequantize().anchors.position).sum())
+    others, part = len(start.anchors) - inside, inside / task["coarse"]
+
+    def room(limit: int) -> int:
+        return others + math.ceil(part * limit) if limit else 0
+
+    target = size_of(room(task["held"]), config.mlp) if task["held"] else 0
+    return replace(config, max_anchors=room(task["most"]), target_size=target)
 
 
 def joint_begin(config: TrainConfig) -> int:
@@ -106,14 +126,10 @@ def joint_begin(config: TrainConfig) -> int:
 
 
 def joint_config(config: TrainConfig) -> TrainConfig:
-    """The settings of the merged scene: from the last steps before the switch to integers on.
-
-    No round before it thinned what grew, so that rounds go on until anchors rest.
-    """
+    """The settings of the merged scene: from the last steps before the switch to integers on."""
     begin = joint_begin(config)
-    names = ("switch_step", "freeze_step", "mlp_switch_step")
+    names = ("switch_step", "prune_end", "freeze_step", "mlp_switch_step")
     later = {name: max(begin, getattr(config, name)) for name in names}
-    later["prune_end"] = later["freeze_step"]
     later["switch_step"] = min(later["switch_step"], config.steps - 1)
     growth = {
         name: min(getattr(config, name), begin)
@@ -150,12 +166,15 @@ def _unpriced(config: TrainConfig, steps: int) -> TrainConfig:
 FIGURES = ("psnr", "split", "anchors", "train_seconds", "peak_memory_bytes")
 
 
-def block_tasks(data: Path, folder: Path, config: TrainConfig, plan: Plan) -> list[Task]:
+def block_tasks(
+    data: Path, folder: Path, config: TrainConfig, plan: Plan, coarse: int
+) -> list[Task]:
     """The tasks of all blocks of the run in ``folder``, whose settings are resolved.
 
     A task has run (ROW-COLUMN), data, points (folder that keeps those that were triangulated),
-    folder, lock (paths), config (text of TOML), steps, begun (those done before), position_q, box
-    (in scene units), train and test (names of photos).
+    folder, lock (paths), config (text of TOML), steps, begun (those done before), coarse (anchors
+    of the coarse scene), held and most (anchors of the whole that a size asked for holds, and that
+    there may be; 0: any number), train and test (names of photos).
     """
     most = len({name for names in plan.train.values() for name in names})
     tasks = []
@@ -172,6 +191,9 @@ def block_tasks(data: Path, folder: Path, config: TrainConfig, plan: Plan) -> li
                 "config": own.to_toml(),
                 "steps": own.steps,
                 "begun": begun,
+                "coarse": coarse,
+                "held": config.held_anchors,
+                "most": config.max_anchors,
                 "train": plan.train[name],
                 "test": plan.test[name],
             }
@@ -198,6 +220,7 @@ def train_block(task: Task, tell: Tell = lambda message: None) -> Row:
     folder, device = Path(task["folder"]), opened_device(task.get("device"))
     config = from_toml(task["config"], f"block {task['run']}")
     start = load_scene(folder / START)
+    config = limited(config, start, task)
     dataset = block_dataset(task, config, start)
     result = finished_run(folder, dataset, config)
     was_finished = result is not None

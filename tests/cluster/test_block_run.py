@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import math
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,13 +14,11 @@ from clgs.cli.main import main
 from clgs.cluster import block_run as blocks_run
 from clgs.cluster import engine, worker
 from clgs.cluster.block_plan import read_plan
-from clgs.cluster.block_run import merged_scene, merged_state
-from clgs.cluster.block_task import joint_begin
-from clgs.data.dataset import load_dataset
-from clgs.data.origin import repose
+from clgs.cluster.block_task import block_config, box_text, limited
 from clgs.errors import DataError, ExistsError, UsageError
 from clgs.scene.storage import load_scene
-from clgs.train.config import preset
+from clgs.train.config import from_toml
+from clgs.train.config.size_settings import ANCHOR_BITS
 from clgs.train.run.run_folder import RESULTS, FolderLock
 from clgs.train.state.checkpoint import checkpoints
 from tests.cluster.kill import killed_once
@@ -29,6 +27,9 @@ from tests.small_scene import write_scene
 needs_dask = pytest.mark.skipif(
     importlib.util.find_spec("distributed") is None, reason="needs dask.distributed"
 )
+
+LEAST_HELD = math.ceil(8 * 4_000 / ANCHOR_BITS)
+"""The anchors of the smallest file that a size may be asked for, without its MLPs of float32."""
 
 OPTIONS = "--steps 60 --voxel 0.05 --start-points 1000 --checkpoint-interval 5 --growth-interval 10"
 
@@ -78,15 +79,24 @@ def test_blocks_learn_their_own_anchors_and_leave_the_networks(trained):
         assert sum(before[place] != after[place] for place in inside) > len(inside) / 2
 
 
-@pytest.mark.parametrize("price", [0.0, 1.0])
-def test_with_a_price_the_least_anchors_of_the_blocks_go(trained, balls, open_device, price):
-    coarse = load_scene(trained / "coarse" / "scene.npz")
-    merged = merged_scene(trained / "blocks", read_plan(trained / "blocks").cuts, coarse)
-    dataset, count = repose(load_dataset(balls), merged.transform), len(merged.anchors)
-    config = replace(preset("default"), size_lambda=price).scaled(400).for_dataset(dataset.kind)
-    state = merged_state(open_device("cpu"), dataset, merged, joint_begin(config), config)
-    left = state.parameters.count  # after one round
-    assert left == count if price == 0.0 else 0.69 * count <= left < count
+@pytest.mark.parametrize(
+    ("limits", "learning"), [({}, 0), ({"most": 900}, 900), ({"held": 90}, 90)]
+)
+def test_a_block_has_its_part_of_the_anchors_that_there_may_be(trained, limits, learning):
+    plan = read_plan(trained / "blocks")
+    coarse = len(load_scene(trained / "coarse" / "scene.npz").anchors)
+    for number, name in enumerate(plan.cuts.names):
+        start = load_scene(trained / "blocks" / name / "start.npz")
+        whole = from_toml((trained / "config.toml").read_text(), "config.toml")
+        box = box_text(plan.cuts, number, whole.position_q)
+        config = block_config(whole, 0.5, box)[0]
+        inside = config.learning_box.holds(start.dequantize().anchors.position).sum()
+        task = {"coarse": coarse, "most": 0, "held": 0, **limits}
+        one = limited(config, start, task)
+        room = len(start.anchors) - inside + math.ceil(learning * inside / coarse)
+        assert one.max_anchors == (room if "most" in limits else 0)
+        held = max(room, LEAST_HELD) if "held" in limits else 0
+        assert held <= one.held_anchors <= held + 1
 
 
 def test_a_finished_run_is_left_as_it_is_and_other_blocks_are_refused(trained, balls, capsys):

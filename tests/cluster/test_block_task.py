@@ -34,9 +34,9 @@ def test_the_parts_follow_each_other(steps, share):
     if share == 1.0:
         assert (begun, block.steps) == (coarse.steps, joint_begin(whole))
     for part in (coarse, block):
-        assert part.size_lambda == 0.0
         assert part.switch_step == part.steps - 1
-    assert joint.size_lambda == whole.size_lambda
+    assert coarse.size_lambda == 0.0
+    assert block.size_lambda == joint.size_lambda == whole.size_lambda
 
 
 def test_a_block_learns_as_fast_as_the_whole_at_the_same_share_of_the_steps():

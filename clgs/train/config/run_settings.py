@@ -199,7 +199,7 @@ class RunSettings:
     box: str = option(
         "",
         "learn, grow and prune only the anchors in this box, x0,y0,z0,x1,y1,z1; the MLPs rest, the "
-        "other anchors are drawn as they are, and nothing is priced or capped; else all learn",
+        "other anchors are drawn as they are, and no integer is priced or capped; else all learn",
         Text("six numbers with commas between them", "X0,Y0,Z0,X1,Y1,Z1"),
         unit="scene units",
         later=True,

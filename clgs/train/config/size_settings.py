@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from clgs.train.config.option import ANY, WEIGHT, Range, at_least, option
@@ -29,6 +30,11 @@ LEAST_THRESHOLD = 1e-4
 
 LEARNING = 10
 """Steps below which anchors have nearly no digits yet, and only many of them fill a file."""
+
+
+def size_of(anchors: int, mlp: str) -> int:
+    """Bytes of a file with this number of anchors, about; ``mlp`` as the setting says."""
+    return max(LEAST_TARGET[mlp], MLP_BYTES[mlp] + math.ceil(ANCHOR_BITS / 8 * anchors))
 
 
 @dataclass(frozen=True)

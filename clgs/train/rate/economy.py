@@ -1,7 +1,8 @@
 """Rounds in which anchors, and digits of anchors, go that are not worth their bytes.
 
 While anchors still grow, rounds remove those that do not earn the bytes of a mean anchor: growth
-adds more than is needed, and each costs time.
+adds more than is needed, and each costs time. If only the anchors of a box learn, these are all
+rounds that there are, and the others stay.
 
 At the switch to integers the first round sets the price of a bit, and how many integers there are
 per unit of each attribute. In every round integers become cheaper ones if the loss hardly changes,
@@ -123,10 +124,14 @@ class Economy:
         self._lambda = config.size_lambda or 0.0
         usual = default_lambda(dataset.kind, config.steps * config.batch)
         self._most_loss = MOST_LOSS ** min(max(1.0, self._lambda / usual), NO_LIMIT)
-        active = (self._lambda > 0 or config.target_size > 0) and not config.box
+        active = self._lambda > 0 or config.target_size > 0
         thinned = [share * config.switch_step for share in THINNED]
         if config.switch_step < UNLEARNED:
             thinned = []
+        if not config.target_size:  # without growth, more than is needed would go
+            thinned = [step for step in thinned if step <= config.growth_end]
+        if config.box:
+            moments = moments[:0]
         self.steps = sorted({round(each) for each in (*thinned, *moments)}) if active else []
         """The steps after which there is a round."""
         views = dataset.train
@@ -153,8 +158,9 @@ class Economy:
         device.release_unused()
         if step < config.switch_step:
             price = self._price(judged, state.parameters.count)
-            kept, changed = self._earning(judged.importance / ANCHOR_BITS, price), 0
             rows = state.parameters.download(device)
+            may_go = self._may_go(rows.anchors.position)
+            kept, changed = self._earning(judged.importance / ANCHOR_BITS, price, may_go), 0
             before = len(rows.anchors)
             rows.keep(kept)
         else:
@@ -216,15 +222,25 @@ class Economy:
             return priced_within_loss(self._most_loss, state.rate.price, now, loss)
         return priced(state.rate.price, now)
 
-    def _earning(self, worth: npt.NDArray[np.float64], price: float) -> npt.NDArray[np.bool_]:
+    def _may_go(self, position: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_]:
+        """Which anchors at ``position`` (A, 3) learn, (A,): the others stay."""
+        box = self._config.learning_box
+        return np.ones(len(position), np.bool_) if box is None else box.holds(position)
+
+    def _earning(
+        self, worth: npt.NDArray[np.float64], price: float, may_go: npt.NDArray[np.bool_]
+    ) -> npt.NDArray[np.bool_]:
         """Which anchors stay before the switch, by their worth per bit (A,)."""
-        least = len(worth) - int(MOST_THINNED * len(worth))
+        candidates = worth[may_go]
+        least = len(candidates) - int(MOST_THINNED * len(candidates))
         if self._config.target_size:
-            least, price = max(least, self._config.held_anchors), math.inf
-        if least >= len(worth):
-            return np.ones(len(worth), np.bool_)
-        limit = float(np.partition(worth, -least)[-least])
-        return worth >= min(price, limit)
+            others = len(worth) - len(candidates)
+            least, price = max(least, self._config.held_anchors - others), math.inf
+        kept = np.ones(len(worth), np.bool_)
+        if least < len(candidates):
+            limit = float(np.partition(candidates, -least)[-least])
+            kept[may_go] = candidates >= min(price, limit)
+        return kept
 
     def _price(self, judged: Judgement, anchors: int) -> float:
         """The price of a bit at this loss and size: lambda is what halving may cost in dB."""

@@ -246,9 +246,9 @@ class Session:
         """The scene, or the part of it that fits the size asked for.
 
         Rounds of training meet the size. This is for runs of a few steps, which have none, and for
-        networks that grew after the last round.
+        networks that grew after the last round. What lies out of a box that learns stays.
         """
-        target = self.config.target_size
+        target = 0 if self.config.box else self.config.target_size
         if not target or len(encode(scene)) <= target:
             return scene
         views = self.dataset.train
