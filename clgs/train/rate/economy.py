@@ -128,8 +128,6 @@ class Economy:
         thinned = [share * config.switch_step for share in THINNED]
         if config.switch_step < UNLEARNED:
             thinned = []
-        if not config.target_size:  # without growth, more than is needed would go
-            thinned = [step for step in thinned if step <= config.growth_end]
         if config.box:
             moments = moments[:0]
         self.steps = sorted({round(each) for each in (*thinned, *moments)}) if active else []

@@ -113,13 +113,6 @@ def test_long_runs_have_more_rounds(cpu, dataset):
     assert counts == [1, *(len(THINNED) + n for n in (LEAST_ROUNDS, 5, ROUNDS))]
 
 
-def test_nothing_is_left_out_once_growth_has_ended_unless_a_size_must_be_met(cpu, dataset):
-    early = {"growth_start": 0, "statistics_start": 0, "growth_end": 5}
-    priced, sized = (config(dataset, **early, target_size=size) for size in (0, 20_000))
-    first = [Economy(cpu, dataset, one, Rounding(cpu, one)).steps[0] for one in (priced, sized)]
-    assert first == [priced.switch_step, round(THINNED[0] * sized.switch_step)]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [0, 30_000])
 def test_in_a_box_its_least_anchors_go_before_the_switch_and_no_others(cpu, dataset, size):
