@@ -35,8 +35,15 @@ BLENDER_DISTANCE, BLENDER_TOLERANCE = 4.0, 1.5
 """How far the cameras of Synthetic-NeRF are from the origin. Scenes that are smaller or larger by
 more than the tolerance are scaled to that."""
 
-HULL_POINTS = 10_000
+HULL_POINTS = 30_000
 """Random points in the visual hull of a Blender scene; anchors grow from there."""
+
+SURFACE_SHARE = 0.5
+"""The share of them that lie near its surface, if photos have a background: most of what is to be
+seen is there, and the rest may lie in hollows that no outline shows."""
+
+SURFACE_DEPTH = 0.02
+"""How near that is, as a share of the longest side of the hull."""
 
 RAY_POINTS = 100_000
 """Random points among photos, most of them in empty space."""
@@ -47,6 +54,9 @@ room photographed from its middle, of two cameras."""
 
 MASK_MARGIN = 2
 """Pixels by which alpha masks are grown before points are carved with them."""
+
+DRAWN_PER_POINT = 2
+"""Points that are drawn for each one, so that enough of them lie near the surface."""
 
 _BATCH = 200_000
 _MAX_BATCHES = 20
@@ -87,7 +97,7 @@ def random_points(
         edge = BLENDER_HALF_EDGE
         return rng.uniform(-edge, edge, (count, 3)).astype(np.float32)
     most = math.ceil(SEEN_SHARE * len(viewpoints))
-    points = _in_cube(rng, viewpoints, most, count) if blender else np.empty((0, 3))
+    points = _in_hull(rng, viewpoints, most, count) if blender else np.empty((0, 3))
     for needed in (most, min(2, most)):
         if not len(points):
             draw = partial(_on_rays, rng, viewpoints, radius)
@@ -107,6 +117,24 @@ def _collect(
         if found == 0 or found >= count:
             break
     return np.concatenate(kept)
+
+
+def _in_hull(
+    rng: np.random.Generator, viewpoints: list[Viewpoint], needed: int, count: int
+) -> Floats:
+    """Points of :func:`_in_cube`, more of them near the surface of the volume that they fill."""
+    if all(viewpoint_.mask is None for viewpoint_ in viewpoints):
+        return _in_cube(rng, viewpoints, needed, count)
+    points = _in_cube(rng, viewpoints, needed, DRAWN_PER_POINT * count)
+    if not len(points):
+        return points
+    depth = SURFACE_DEPTH * (points.max(axis=0) - points.min(axis=0)).max()
+    near = np.zeros(len(points), np.bool_)
+    for shift in depth * np.concatenate([np.eye(3), -np.eye(3)]):
+        near |= ~_shared(points + shift, viewpoints, needed)
+    surface = np.flatnonzero(near)[: int(SURFACE_SHARE * count)]
+    others = np.delete(points, surface, axis=0)[: count - len(surface)]
+    return np.concatenate([points[surface], others])
 
 
 def _in_cube(

@@ -173,7 +173,7 @@ class RunSettings:
         "random points to start from if the data set has none (code: 100,000)",
         Range(LEAST_ANCHORS, MAX_SAMPLES, or_zero=True),
         unit="points",
-        open_default="10,000 in Blender scenes, 100,000 among photos",
+        open_default="30,000 in Blender scenes, 100,000 among photos",
     )
     start_volume: str = option(
         "hull",
@@ -182,7 +182,7 @@ class RunSettings:
         ("hull", "cube"),
     )
     start_pixels: float = option(
-        3.0,
+        1.5,
         "the data set's points are thinned to at most one for this many pixels of a photo; 0: all "
         "of them stay (code)",
         at_least(0),
