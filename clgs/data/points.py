@@ -39,11 +39,11 @@ HULL_POINTS = 30_000
 """Random points in the visual hull of a Blender scene; anchors grow from there."""
 
 SURFACE_SHARE = 0.5
-"""The share of them that lie near its surface, if photos have a background: most of what is to be
+"""The share of them that lie on its surface, if photos have a background: most of what is to be
 seen is there, and the rest may lie in hollows that no outline shows."""
 
-SURFACE_DEPTH = 0.02
-"""How near that is, as a share of the longest side of the hull."""
+HALVINGS = 8
+"""A surface is found to this power of 1/2 of the hull's size."""
 
 RAY_POINTS = 100_000
 """Random points among photos, most of them in empty space."""
@@ -54,9 +54,6 @@ room photographed from its middle, of two cameras."""
 
 MASK_MARGIN = 2
 """Pixels by which alpha masks are grown before points are carved with them."""
-
-DRAWN_PER_POINT = 2
-"""Points that are drawn for each one, so that enough of them lie near the surface."""
 
 _BATCH = 200_000
 _MAX_BATCHES = 20
@@ -122,19 +119,21 @@ def _collect(
 def _in_hull(
     rng: np.random.Generator, viewpoints: list[Viewpoint], needed: int, count: int
 ) -> Floats:
-    """Points of :func:`_in_cube`, more of them near the surface of the volume that they fill."""
-    if all(viewpoint_.mask is None for viewpoint_ in viewpoints):
-        return _in_cube(rng, viewpoints, needed, count)
-    points = _in_cube(rng, viewpoints, needed, DRAWN_PER_POINT * count)
-    if not len(points):
+    """Points of :func:`_in_cube`, some of them moved in a random direction to where it ends."""
+    points = _in_cube(rng, viewpoints, needed, count)[:count]
+    if all(viewpoint_.mask is None for viewpoint_ in viewpoints) or not len(points):
         return points
-    depth = SURFACE_DEPTH * (points.max(axis=0) - points.min(axis=0)).max()
-    near = np.zeros(len(points), np.bool_)
-    for shift in depth * np.concatenate([np.eye(3), -np.eye(3)]):
-        near |= ~_shared(points + shift, viewpoints, needed)
-    surface = np.flatnonzero(near)[: int(SURFACE_SHARE * count)]
-    others = np.delete(points, surface, axis=0)[: count - len(surface)]
-    return np.concatenate([points[surface], others])
+    begin = points[: int(SURFACE_SHARE * len(points))]
+    direction = rng.normal(size=begin.shape)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    inside = np.zeros((len(begin), 1))
+    outside = np.full_like(inside, np.linalg.norm(np.ptp(points, axis=0)))
+    for _ in range(HALVINGS):
+        middle = (inside + outside) / 2
+        shared = _shared(begin + middle * direction, viewpoints, needed)[:, None]
+        inside, outside = np.where(shared, middle, inside), np.where(shared, outside, middle)
+    begin += inside * direction
+    return points
 
 
 def _in_cube(

@@ -69,7 +69,7 @@ def test_blender_points_are_carved_and_seeded(tmp_path):
     data = with_points(read)
     assert (data.kind, len(data.train), len(data.test), data.skipped) == ("blender", 8, 3, 0)
     assert data.transform.scale == 1.0
-    assert 9_000 <= len(data.points) <= 10_000
+    assert 27_000 <= len(data.points) <= 30_000
     distance = np.linalg.norm(data.points, axis=1)
     # The masks are grown by 2 pixels of 40, about 0.2 units; views from one height only leave
     # cones above and below the ball.
@@ -77,6 +77,14 @@ def test_blender_points_are_carved_and_seeded(tmp_path):
     assert distance.max() <= 1.3
     assert np.array_equal(with_points(read).points, data.points)
     assert not np.array_equal(with_points(read, TrainConfig(seed=1)).points, data.points)
+
+
+def test_half_of_the_points_of_blender_scenes_lie_on_the_surface_of_the_hull(tmp_path):
+    write_blender(tmp_path)
+    points = with_points(load_dataset(tmp_path)).points
+    distance = np.hypot(*points[np.abs(points[:, 2]) < 0.2, :2].T)  # the middle of the ball
+    assert (distance > 0.9 * distance.max()).mean() > 0.4  # 0.19 if they were even
+    assert (distance < 0.5 * distance.max()).mean() > 0.08  # 0.25
 
 
 @pytest.mark.slow
