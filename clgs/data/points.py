@@ -39,11 +39,14 @@ HULL_POINTS = 30_000
 """Random points in the visual hull of a Blender scene; anchors grow from there."""
 
 SURFACE_SHARE = 0.5
-"""The share of them that lie on its surface, if photos have a background: most of what is to be
-seen is there, and the rest may lie in hollows that no outline shows."""
+"""The most of them that lie near its surface, as a share, if photos have a background: most of what
+is to be seen is there, and the rest may lie in hollows that no outline shows."""
 
-HALVINGS = 8
-"""A surface is found to this power of 1/2 of the hull's size."""
+SURFACE_DEPTH = 0.02
+"""How near that is along an axis, as a share of the longest side of the hull."""
+
+DRAWN_PER_POINT = 2
+"""Points that are drawn for each one, so that many of them lie near the surface."""
 
 RAY_POINTS = 100_000
 """Random points among photos, most of them in empty space."""
@@ -119,21 +122,19 @@ def _collect(
 def _in_hull(
     rng: np.random.Generator, viewpoints: list[Viewpoint], needed: int, count: int
 ) -> Floats:
-    """Points of :func:`_in_cube`, some of them moved in a random direction to where it ends."""
-    points = _in_cube(rng, viewpoints, needed, count)[:count]
-    if all(viewpoint_.mask is None for viewpoint_ in viewpoints) or not len(points):
+    """Points of :func:`_in_cube`, more of them near the surface of the volume that they fill."""
+    if all(viewpoint_.mask is None for viewpoint_ in viewpoints):
+        return _in_cube(rng, viewpoints, needed, count)
+    points = _in_cube(rng, viewpoints, needed, DRAWN_PER_POINT * count)
+    if not len(points):
         return points
-    begin = points[: int(SURFACE_SHARE * len(points))]
-    direction = rng.normal(size=begin.shape)
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    inside = np.zeros((len(begin), 1))
-    outside = np.full_like(inside, np.linalg.norm(np.ptp(points, axis=0)))
-    for _ in range(HALVINGS):
-        middle = (inside + outside) / 2
-        shared = _shared(begin + middle * direction, viewpoints, needed)[:, None]
-        inside, outside = np.where(shared, middle, inside), np.where(shared, outside, middle)
-    begin += inside * direction
-    return points
+    depth = SURFACE_DEPTH * np.ptp(points, axis=0).max()
+    near = np.zeros(len(points), np.bool_)
+    for shift in depth * np.concatenate([np.eye(3), -np.eye(3)]):
+        near |= ~_shared(points + shift, viewpoints, needed)
+    surface = np.flatnonzero(near)[: int(SURFACE_SHARE * count)]
+    others = np.delete(points, surface, axis=0)[: count - len(surface)]
+    return np.concatenate([points[surface], others])
 
 
 def _in_cube(

@@ -79,12 +79,12 @@ def test_blender_points_are_carved_and_seeded(tmp_path):
     assert not np.array_equal(with_points(read, TrainConfig(seed=1)).points, data.points)
 
 
-def test_half_of_the_points_of_blender_scenes_lie_on_the_surface_of_the_hull(tmp_path):
+def test_points_of_blender_scenes_lie_near_the_surface_of_the_hull_more_often(tmp_path):
     write_blender(tmp_path)
     points = with_points(load_dataset(tmp_path)).points
     distance = np.hypot(*points[np.abs(points[:, 2]) < 0.2, :2].T)  # the middle of the ball
-    assert (distance > 0.9 * distance.max()).mean() > 0.4  # 0.19 if they were even
-    assert (distance < 0.5 * distance.max()).mean() > 0.08  # 0.25
+    assert (distance > 0.9 * distance.max()).mean() > 0.24  # 0.19 if they were even
+    assert (distance < 0.5 * distance.max()).mean() > 0.15  # 0.25
 
 
 @pytest.mark.slow
