@@ -105,6 +105,35 @@ def random_points(
     return points[:count].astype(np.float32)
 
 
+NEIGHBOURS = 3
+"""Points are added between a point and this many of those nearest to it."""
+
+MOST_APART = 2.5
+"""Neighbours are near if they are no further apart than this many times the distance of either to
+the one nearest to it: what lies further off is another thing."""
+
+
+def filled(points: npt.NDArray[np.floating], count: int, seed: int) -> npt.NDArray[np.floating]:
+    """``points`` (P, 3) and others in the middle between near ones, until there are ``count``.
+
+    Fewer if there are not as many pairs of neighbours; which of these is drawn by ``seed``.
+    """
+    from scipy.spatial import cKDTree  # not needed by most data sets
+
+    rng = np.random.default_rng(seed)
+    while NEIGHBOURS < len(points) < count:
+        distance, near = cKDTree(points).query(points, k=NEIGHBOURS + 1)
+        first, second = np.repeat(np.arange(len(points)), NEIGHBOURS), near[:, 1:].ravel()
+        apart, spacing = distance[:, 1:].ravel(), distance[:, 1]
+        close = apart <= MOST_APART * np.maximum(spacing[first], spacing[second])
+        pairs = np.unique(np.sort(np.stack([first, second], 1)[close & (apart > 0)], 1), axis=0)
+        drawn = np.sort(rng.permutation(len(pairs))[: count - len(points)])
+        if not len(drawn):
+            break
+        points = np.concatenate([points, points[pairs[drawn]].mean(axis=1)])
+    return points
+
+
 def _collect(
     draw: Callable[[], Floats], viewpoints: list[Viewpoint], needed: int, count: int
 ) -> Floats:

@@ -8,10 +8,11 @@ import struct
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import cKDTree
 
 from clgs.data import points
 from clgs.data.dataset import load_dataset
-from clgs.data.points import SUFFIXES, read_points
+from clgs.data.points import SUFFIXES, filled, read_points
 from clgs.errors import DataError
 from tests.small_scene import write_scene
 
@@ -58,6 +59,26 @@ def test_every_point_of_a_cloud_is_taken(tmp_path, rng, suffix):
     points = read(path, "colmap")
     wanted = cloud * (1, -1, -1) if suffix == ".glb" else cloud
     assert points == pytest.approx(wanted, abs=1e-6)
+
+
+def test_points_are_added_between_near_ones_and_not_across_gaps(rng):
+    near = rng.uniform(0, 1, (400, 3)) * (1, 1, 0)
+    both = np.concatenate([near, near + (0, 0, 10)])
+    more = filled(both, 2000, 0)
+    assert len(more) == 2000
+    np.testing.assert_array_equal(more[:800], both)
+    assert np.isin(more[:, 2], (0, 10)).all()
+    assert len(np.unique(more, axis=0)) > 1990
+    assert cKDTree(both).query(more[800:])[0].max() < 0.2
+    np.testing.assert_array_equal(filled(both, 2000, 0), more)
+    assert not np.array_equal(filled(both, 2000, 1), more)
+
+
+def test_nothing_is_added_to_enough_points_to_few_or_to_one_place(rng):
+    cloud = rng.normal(size=(50, 3))
+    assert filled(cloud, 50, 0) is cloud
+    assert filled(cloud[:3], 50, 0).shape == (3, 3)
+    assert filled(np.zeros((50, 3)), 100, 0).shape == (50, 3)
 
 
 def test_the_same_seed_gives_the_same_points(tmp_path):

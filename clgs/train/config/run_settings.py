@@ -188,6 +188,14 @@ class RunSettings:
         at_least(0),
         unit="pixels",
     )
+    start_fill: float = option(
+        3.0,
+        "points between near ones are added to the data set's, up to this many times as many in "
+        "all and one for 6 pixels of a photo; 1: none, as the code and preset paper have it",
+        at_least(1),
+        unit="times",
+        later=True,
+    )
     start_mlps: str = option(
         "",
         "the MLPs to start from; trained: on another scene, shipped; objects: those with 40 of "

@@ -60,6 +60,7 @@ def preset(name: str) -> TrainConfig:
             start_points=100_000,
             start_volume="cube",
             start_pixels=0.0,
+            start_fill=1.0,
             start_mlps="random",
         )
     return config

@@ -19,7 +19,7 @@ import numpy as np
 
 from clgs.codec.scene_decoder import decode
 from clgs.data.dataset import LEAST_POINTS, Dataset, load_dataset, to_scene_points
-from clgs.data.points import random_points, viewpoint
+from clgs.data.points import filled, random_points, viewpoint
 from clgs.errors import CodecError, DataError, UsageError
 from clgs.opencl.device import Device
 from clgs.poses.triangulate import triangulate
@@ -144,6 +144,11 @@ def _triangulated(
 SHIPPED = {TRAINED: "trained_mlps.npy", OBJECTS: "object_mlps.npy"}
 
 
+FILL_PIXELS = 6.0
+"""With more start points than one for this many pixels of a photo, those between them gain little,
+and cost time."""
+
+
 def first_state(device: Device, dataset: Dataset, config: TrainConfig) -> RunState:
     """The state of a run before its first step; ``config`` is resolved for ``dataset``.
 
@@ -151,12 +156,15 @@ def first_state(device: Device, dataset: Dataset, config: TrainConfig) -> RunSta
         DataError: the points, or the file of ``config.start_mlps``, cannot be used.
     """
     rng = np.random.default_rng(config.seed)
-    limits = [config.most_anchors] if config.most_anchors else []
-    if config.start_pixels and dataset.kind != BLENDER:
+    limits, points = [config.most_anchors] if config.most_anchors else [], dataset.points
+    if dataset.kind != BLENDER:
         pixels = max(view.camera.width * view.camera.height for view in dataset.train)
-        limits.append(max(LEAST_ANCHORS, int(pixels / config.start_pixels)))
+        wanted = min(config.start_fill * len(points), pixels / FILL_PIXELS)
+        points = filled(points, int(wanted), config.seed)
+        if config.start_pixels:
+            limits.append(max(LEAST_ANCHORS, int(pixels / config.start_pixels)))
     most = min(limits, default=0)  # 0: one per voxel that holds points
-    anchors = initial_anchors(dataset.points, config.voxel, most, config.seed)
+    anchors = initial_anchors(points, config.voxel, most, config.seed)
     mlps = start_mlps(config.start_mlps, rng)
     return new_state(device, config, len(dataset.train), anchors, mlps, rng)
 

@@ -82,7 +82,8 @@ def synthetic_speed(device: Device) -> StepSpeed:
     """The speed of steps on a synthetic scene, which is like that on a usual photo."""
 
     def measure(edge: int) -> tuple[int, float]:
-        config = replace(preset("quick").for_dataset("photos"), start_pixels=0.0)  # all points
+        config = preset("quick").for_dataset("photos")
+        config = replace(config, start_fill=1.0, start_pixels=0.0)  # all points, and no others
         trainer = Trainer(device, synthetic_dataset(edge), config)
         return edge**2, _step_seconds(trainer, WARM_UP, REPEATS)
 
