@@ -40,7 +40,7 @@ HULL_POINTS = 30_000
 
 SURFACE_SHARE = 0.5
 """The most of them that lie near its surface, as a share, if photos have a background: most of what
-is to be seen is there, and the rest may lie in hollows that no outline shows."""
+photos show is there, and the rest may lie in hollows that no outline shows."""
 
 SURFACE_DEPTH = 0.02
 """How near that is along an axis, as a share of the longest side of the hull."""

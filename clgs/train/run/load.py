@@ -145,8 +145,8 @@ SHIPPED = {TRAINED: "trained_mlps.npy", OBJECTS: "object_mlps.npy"}
 
 
 FILL_PIXELS = 6.0
-"""With more start points than one for this many pixels of a photo, those between them gain little,
-and cost time."""
+"""More start points than one for this many pixels of a photo need none between them: these gain
+little, and cost time."""
 
 
 def first_state(device: Device, dataset: Dataset, config: TrainConfig) -> RunState:
