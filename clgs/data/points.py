@@ -116,21 +116,24 @@ the one nearest to it: what lies further off is another thing."""
 def filled(points: npt.NDArray[np.floating], count: int, seed: int) -> npt.NDArray[np.floating]:
     """``points`` (P, 3) and others in the middle between near ones, until there are ``count``.
 
-    Fewer if there are not as many pairs of neighbours; which of these is drawn by ``seed``.
+    Fewer if there are not as many pairs of neighbours; which of these is drawn by ``seed``. Points
+    that are added to are distinct and in order. Those that are not finite are none to add to.
     """
+    if len(points) >= count or not np.isfinite(points).all():
+        return points
     from scipy.spatial import cKDTree  # not needed by most data sets
 
-    rng = np.random.default_rng(seed)
-    while NEIGHBOURS < len(points) < count:
+    rng, before = np.random.default_rng(seed), 0
+    points = np.unique(points, axis=0)
+    while NEIGHBOURS < len(points) < count and len(points) > before:
+        before = len(points)
         distance, near = cKDTree(points).query(points, k=NEIGHBOURS + 1)
-        first, second = np.repeat(np.arange(len(points)), NEIGHBOURS), near[:, 1:].ravel()
+        first, second = np.repeat(np.arange(before), NEIGHBOURS), near[:, 1:].ravel()
         apart, spacing = distance[:, 1:].ravel(), distance[:, 1]
         close = apart <= MOST_APART * np.maximum(spacing[first], spacing[second])
-        pairs = np.unique(np.sort(np.stack([first, second], 1)[close & (apart > 0)], 1), axis=0)
-        drawn = np.sort(rng.permutation(len(pairs))[: count - len(points)])
-        if not len(drawn):
-            break
-        points = np.concatenate([points, points[pairs[drawn]].mean(axis=1)])
+        pairs = np.unique(np.sort(np.stack([first, second], 1)[close], 1), axis=0)
+        drawn = np.sort(rng.permutation(len(pairs))[: count - before])
+        points = np.unique(np.concatenate([points, points[pairs[drawn]].mean(axis=1)]), axis=0)
     return points
 
 

@@ -63,13 +63,13 @@ def test_every_point_of_a_cloud_is_taken(tmp_path, rng, suffix):
 
 def test_points_are_added_between_near_ones_and_not_across_gaps(rng):
     near = rng.uniform(0, 1, (400, 3)) * (1, 1, 0)
-    both = np.concatenate([near, near + (0, 0, 10)])
+    both = np.concatenate([near, near + np.array([0.0, 0.0, 10.0])])
     more = filled(both, 2000, 0)
     assert len(more) == 2000
-    np.testing.assert_array_equal(more[:800], both)
+    assert {tuple(point) for point in both} <= {tuple(point) for point in more}
     assert np.isin(more[:, 2], (0, 10)).all()
-    assert len(np.unique(more, axis=0)) > 1990
-    assert cKDTree(both).query(more[800:])[0].max() < 0.2
+    assert len(np.unique(more, axis=0)) == 2000
+    assert cKDTree(both).query(more)[0].max() < 0.2
     np.testing.assert_array_equal(filled(both, 2000, 0), more)
     assert not np.array_equal(filled(both, 2000, 1), more)
 
@@ -78,7 +78,16 @@ def test_nothing_is_added_to_enough_points_to_few_or_to_one_place(rng):
     cloud = rng.normal(size=(50, 3))
     assert filled(cloud, 50, 0) is cloud
     assert filled(cloud[:3], 50, 0).shape == (3, 3)
-    assert filled(np.zeros((50, 3)), 100, 0).shape == (50, 3)
+    assert filled(np.zeros((50, 3)), 100, 0).shape == (1, 3)
+    broken = np.where(np.arange(50)[:, None] == 7, np.nan, cloud)
+    assert filled(broken, 100, 0) is broken
+
+
+def test_points_that_are_there_twice_are_filled_up_as_if_they_were_once(rng):
+    cloud = rng.normal(size=(100, 3))
+    np.testing.assert_array_equal(filled(cloud.repeat(3, axis=0), 301, 0), filled(cloud, 301, 0))
+    line = filled(np.linspace(0, 1, 100)[:, None] * (1, 2, 3), 300, 0)
+    assert len(np.unique(line, axis=0)) == len(line) > 190
 
 
 def test_the_same_seed_gives_the_same_points(tmp_path):

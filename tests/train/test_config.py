@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from clgs.errors import DataError, UsageError
 from clgs.train.config import LearningRates, TrainConfig, from_toml, options_of, preset
 from clgs.train.config.option import at_least, option
+from clgs.train.state.checkpoint import changed_settings
 
 
 def test_the_paper_is_the_published_one():
@@ -193,6 +194,28 @@ FIRST_OPTIONS = 64
 @dataclass(frozen=True)
 class Newer(TrainConfig):
     more: int = option(0, "a setting that came later", at_least(0), unit="none", later=True)
+
+
+@dataclass(frozen=True)
+class Other(TrainConfig):
+    more: int = option(3, "came later", at_least(0), unit="none", later=True, before=1)
+
+
+def test_runs_from_before_a_setting_that_changed_the_default_keep_their_digest():
+    assert Other(more=1).digest() == TrainConfig().digest()
+    assert Other().digest() != TrainConfig().digest()
+    written = TrainConfig().to_toml()
+    older = "".join(line for line in written.splitlines(True) if "start_fill" not in line)
+    assert len(older) < len(written)
+    assert from_toml(written).start_fill == 3.0
+    assert from_toml(older).start_fill == 1.0
+
+
+def test_what_differs_from_an_older_run_can_be_given(tmp_path):
+    text = TrainConfig(start_fill=1.0).to_toml().replace("start_fill = 1.0\n", "")
+    (tmp_path / "config.toml").write_text(text)
+    assert changed_settings(tmp_path, TrainConfig()) == " (--start-fill: 1.0 there, 3.0 here)"
+    assert changed_settings(tmp_path, TrainConfig(start_fill=1.0)) == ""
 
 
 def test_runs_from_before_a_setting_keep_their_digest():

@@ -102,6 +102,7 @@ class Option:
     scaled: bool
     in_digest: bool
     later: bool
+    before: Any
     name: str = ""
     kind: Any = None
 
@@ -230,6 +231,7 @@ def option(
     scaled: bool = False,
     in_digest: bool = True,
     later: bool = False,
+    before: Any = None,
 ) -> Any:
     """Declare a field of a settings class.
 
@@ -243,10 +245,14 @@ def option(
         scaled: a moment of the run, which moves in proportion when ``steps`` changes.
         in_digest: whether a run may be resumed only with the same value; False if the result does
             not depend on it.
-        later: runs were begun before there was this setting, and trained as its default does.
+        later: runs were begun before there was this setting.
+        before: the value with which these trained; None: as ``default`` does.
     """
     help += "; moves with steps" if scaled else ""
-    declared = Option(default, help, allowed, unit, group, open_default, scaled, in_digest, later)
+    before = default if before is None else before
+    declared = Option(
+        default, help, allowed, unit, group, open_default, scaled, in_digest, later, before
+    )
     return field(default=default, metadata={METADATA: declared})
 
 

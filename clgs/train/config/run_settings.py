@@ -190,11 +190,12 @@ class RunSettings:
     )
     start_fill: float = option(
         3.0,
-        "points between near ones are added to the data set's, up to this many times as many in "
-        "all and one for 6 pixels of a photo; 1: none, as the code and preset paper have it",
+        "points between near ones are added to those that photos start from, up to this many times "
+        "as many in all and one for 6 pixels of a photo; 1: none, as in preset paper",
         at_least(1),
         unit="times",
         later=True,
+        before=1.0,
     )
     start_mlps: str = option(
         "",

@@ -344,15 +344,15 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
     def digest(self) -> str:
         """SHA-256 of the settings that results depend on, hexadecimal; the same for equal runs.
 
-        A setting declared as ``later`` counts only if it is not the default, so that runs that were
-        begun before there was such a setting keep their digest.
+        A setting declared as ``later`` counts only if it is not as before there was such a setting,
+        so that older runs keep their digest.
         """
         import tomli_w
 
         kind: type = type(self)
         values = asdict(self)
         for name, one in options_of(kind).items():
-            if one.later and values[name] == one.default:
+            if one.later and values[name] == one.before:
                 del values[name]
             elif not one.in_digest:
                 values[name] = one.default

@@ -103,9 +103,10 @@ def _replaced(settings: Settings, values: Values) -> Settings:
 
 
 def from_toml(text: str, name: str = "config.toml") -> TrainConfig:
-    """The configuration that :meth:`TrainConfig.to_toml` wrote.
+    """The configuration that :meth:`TrainConfig.to_toml` wrote, perhaps of an older version.
 
-    Missing settings are those of the file's preset, scaled to the file's steps; some must be there.
+    Missing settings are those of the file's preset, scaled to the file's steps, or as they were
+    before there was such a setting; some must be there.
 
     Raises:
         DataError: not TOML, cut short, an unknown name or a value of the wrong type or range.
@@ -115,7 +116,9 @@ def from_toml(text: str, name: str = "config.toml") -> TrainConfig:
     except UsageError as error:
         raise DataError(str(error)) from error
     try:
-        config = layered(values)
+        options = options_of(TrainConfig).items()
+        older = {each: one.before for each, one in options if one.before != one.default}
+        config = layered({**older, **values})
     except UsageError as error:
         raise DataError(f"{name}: {error}") from error
     if missing := [each for each in ALWAYS if each not in values]:

@@ -222,7 +222,7 @@ class Session:
             renderer = Renderer(device, scene.dequantize(), options)
             mean = mean_psnr(renderer, chosen, scene.settings.background)
             summary |= {"train_psnr": mean, "train_views": len(chosen)}
-        if config.target_size:
+        if config.target_size and not config.box:
             summary["target_size"] = config.target_size
         summary |= {
             "accuracy": config.accuracy,

@@ -307,6 +307,8 @@ def changed_settings(folder: Path, config: TrainConfig) -> str:
         return ""
     here = tomllib.loads(config.to_toml())
     options = options_of(TrainConfig)
+    older = {name: one.before for name, one in options.items() if one.before != one.default}
+    there = {**older, **there}
     kept = [name for name, one in options.items() if one.in_digest]
     names = [name for name in kept if there.get(name) != here.get(name)]
     if "steps" in names:
