@@ -72,7 +72,8 @@ class Dataset:
     to scene; kind: "blender", "transforms", "colmap", or the program that made it; skipped: photos
     named by the data set but missing; reduction: what the views were reduced by; points_file: the
     file that the points were asked to come from, else empty; folder: where it was read, None if it
-    was made in memory; photos: the training photos as they are on the disk, in world units.
+    was made in memory; photos: the training photos as they are on the disk, in world units; drawn:
+    whether the points are random ones, in the order in which they were drawn.
     """
 
     train: list[View]
@@ -87,6 +88,7 @@ class Dataset:
     points_file: str = ""
     folder: Path | None = None
     photos: list[Photo] = field(default_factory=list)
+    drawn: bool = False
 
     def __repr__(self) -> str:
         """One line: the fields would be pages."""

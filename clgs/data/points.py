@@ -38,6 +38,12 @@ more than the tolerance are scaled to that."""
 HULL_POINTS = 30_000
 """Random points in the visual hull of a Blender scene; anchors grow from there."""
 
+LONG_RUN_POINTS = 10_000
+"""How many of them a run of LONG_RUN steps begins with: growth has time to find others there."""
+
+SHORT_RUN, LONG_RUN = 3_000, 30_000
+"""Runs of this many steps, and shorter ones, begin with all of them; in between they are fewer."""
+
 SURFACE_SHARE = 0.5
 """The most of them that lie near its surface, as a share, if photos have a background: most of what
 photos show is there, and the rest may lie in hollows that no outline shows."""
@@ -77,6 +83,13 @@ def viewpoint(camera: Camera, alpha: npt.NDArray[np.uint8] | None) -> Viewpoint:
     from scipy.ndimage import maximum_filter  # not needed by most data sets
 
     return Viewpoint(camera, maximum_filter(alpha, size=2 * MASK_MARGIN + 1) > 0)
+
+
+def hull_points(looks: int) -> int:
+    """How many HULL_POINTS a run that looks at this many views begins with."""
+    power = math.log(HULL_POINTS / LONG_RUN_POINTS) / math.log(LONG_RUN / SHORT_RUN)
+    wanted = round(HULL_POINTS * math.pow(SHORT_RUN / looks, power))
+    return max(LONG_RUN_POINTS, min(wanted, HULL_POINTS))
 
 
 def random_points(
@@ -164,9 +177,10 @@ def _in_hull(
     near = np.zeros(len(points), np.bool_)
     for shift in depth * np.concatenate([np.eye(3), -np.eye(3)]):
         near |= ~_shared(points + shift, viewpoints, needed)
-    surface = np.flatnonzero(near)[: int(SURFACE_SHARE * count)]
-    others = np.delete(points, surface, axis=0)[: count - len(surface)]
-    return np.concatenate([points[surface], others])
+    kept = np.zeros(len(points), np.bool_)
+    kept[np.flatnonzero(near)[: int(SURFACE_SHARE * count)]] = True
+    kept[np.flatnonzero(~kept)[: count - np.count_nonzero(kept)]] = True
+    return points[kept]
 
 
 def _in_cube(

@@ -173,7 +173,8 @@ class RunSettings:
         "random points to start from if the data set has none (code: 100,000)",
         Range(LEAST_ANCHORS, MAX_SAMPLES, or_zero=True),
         unit="points",
-        open_default="30,000 in Blender scenes, 100,000 among photos",
+        open_default="30,000 in Blender scenes, fewer in runs of more than 3,000 steps, 10,000 "
+        "from 30,000 steps on; 100,000 among photos",
     )
     start_volume: str = option(
         "hull",

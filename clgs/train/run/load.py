@@ -19,7 +19,7 @@ import numpy as np
 
 from clgs.codec.scene_decoder import decode
 from clgs.data.dataset import LEAST_POINTS, Dataset, load_dataset, to_scene_points
-from clgs.data.points import filled, random_points, viewpoint
+from clgs.data.points import filled, hull_points, random_points, viewpoint
 from clgs.errors import CodecError, DataError, UsageError
 from clgs.opencl.device import Device
 from clgs.poses.triangulate import triangulate
@@ -109,7 +109,7 @@ def with_points(
             f"{dataset.folder}: no two photos look at the same place; check the poses and their "
             "axes"
         )
-    return replace(dataset, points=points, point_colors=None)
+    return replace(dataset, points=points, point_colors=None, drawn=True)
 
 
 def must_triangulate(dataset: Dataset) -> bool:
@@ -157,6 +157,8 @@ def first_state(device: Device, dataset: Dataset, config: TrainConfig) -> RunSta
     """
     rng = np.random.default_rng(config.seed)
     limits, points = [config.most_anchors] if config.most_anchors else [], dataset.points
+    if dataset.kind == BLENDER and dataset.drawn and not config.start_points:
+        points = points[: hull_points(config.steps * config.batch)]
     if dataset.kind != BLENDER:
         pixels = max(view.camera.width * view.camera.height for view in dataset.train)
         wanted = min(config.start_fill * len(points), pixels / FILL_PIXELS)

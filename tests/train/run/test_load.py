@@ -16,8 +16,9 @@ from clgs.scene.storage import save_scene
 from clgs.train.config import TrainConfig, preset
 from clgs.train.config.run_settings import OBJECTS, RANDOM, TRAINED
 from clgs.train.run import load
-from clgs.train.run.load import load_for, start_mlps, with_points
+from clgs.train.run.load import first_state, load_for, start_mlps, with_points
 from clgs.train.run.trainer import Trainer
+from clgs.train.state.voxel_grid import voxel_integers
 from tests.codec.scenes import random_scene
 from tests.data.folders import (
     project,
@@ -85,6 +86,22 @@ def test_points_of_blender_scenes_lie_near_the_surface_of_the_hull_more_often(tm
     distance = np.hypot(*points[np.abs(points[:, 2]) < 0.2, :2].T)  # the middle of the ball
     assert (distance > 0.9 * distance.max()).mean() > 0.24  # 0.19 if they were even
     assert (distance < 0.5 * distance.max()).mean() > 0.15  # 0.25
+
+
+def test_long_runs_begin_with_the_first_of_the_points(tmp_path, cpu):
+    write_blender(tmp_path)
+    data = with_points(load_dataset(tmp_path))
+    found = {}
+    for steps in (300, 3_000, 10_000, 30_000, 60_000):
+        settings = preset("default").scaled(steps).for_dataset("blender")
+        found[steps] = first_state(cpu, data, settings).parameters.count
+    few = len(voxel_integers(data.points[:10_000], settings.voxel))
+    assert found[300] == found[3_000] == len(voxel_integers(data.points, settings.voxel))
+    assert few == found[30_000] == found[60_000] < found[10_000] < found[3_000]
+    given = replace(settings, start_points=len(data.points))
+    assert first_state(cpu, data, given).parameters.count == found[3_000]
+    own = replace(data, drawn=False)
+    assert first_state(cpu, own, settings).parameters.count == found[3_000]
 
 
 @pytest.mark.slow
