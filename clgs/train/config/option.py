@@ -256,6 +256,16 @@ def option(
     return field(default=default, metadata={METADATA: declared})
 
 
+def older_values(settings: type) -> dict[str, Any]:
+    """What runs trained with that were begun before a setting, if its default is another, by name.
+
+    Raises:
+        TypeError: as :func:`options_of`.
+    """
+    options = options_of(settings).items()
+    return {name: one.before for name, one in options if one.before != one.default}
+
+
 @cache
 def options_of(settings: type) -> dict[str, Option]:
     """The options that a settings class declares, by name, in order; those of tables are dotted.

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from clgs.errors import DataError, UsageError
-from clgs.train.config.option import Option, options_of
+from clgs.train.config.option import Option, older_values, options_of
 from clgs.train.config.run_settings import LearningRates
 from clgs.train.config.settings import PAPER_Q, TrainConfig
 from clgs.train.config.size_settings import GROWTH_THRESHOLD
@@ -116,9 +116,7 @@ def from_toml(text: str, name: str = "config.toml") -> TrainConfig:
     except UsageError as error:
         raise DataError(str(error)) from error
     try:
-        options = options_of(TrainConfig).items()
-        older = {each: one.before for each, one in options if one.before != one.default}
-        config = layered({**older, **values})
+        config = layered({**older_values(TrainConfig), **values})
     except UsageError as error:
         raise DataError(f"{name}: {error}") from error
     if missing := [each for each in ALWAYS if each not in values]:

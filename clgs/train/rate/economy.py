@@ -157,10 +157,8 @@ class Economy:
         if step < config.switch_step:
             price = self._price(judged, state.parameters.count)
             rows = state.parameters.download(device)
-            may_go = self._may_go(rows.anchors.position)
-            kept, changed = self._earning(judged.importance / ANCHOR_BITS, price, may_go), 0
-            before = len(rows.anchors)
-            rows.keep(kept)
+            before, changed = len(rows.anchors), 0
+            rows.keep(self._earning(judged.importance / ANCHOR_BITS, price, rows.anchors.position))
         else:
             offer = self._offer(state, judged, drawn, step)
             del judged, drawn  # before the moments come
@@ -220,21 +218,23 @@ class Economy:
             return priced_within_loss(self._most_loss, state.rate.price, now, loss)
         return priced(state.rate.price, now)
 
-    def _may_go(self, position: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_]:
-        """Which anchors at ``position`` (A, 3) learn, (A,): the others stay."""
-        box = self._config.learning_box
-        return np.ones(len(position), np.bool_) if box is None else box.holds(position)
-
     def _earning(
-        self, worth: npt.NDArray[np.float64], price: float, may_go: npt.NDArray[np.bool_]
+        self,
+        worth: npt.NDArray[np.float64],
+        price: float,
+        position: npt.NDArray[np.float32],
     ) -> npt.NDArray[np.bool_]:
-        """Which anchors stay before the switch, by their worth per bit (A,)."""
+        """Which anchors stay before the switch, by their worth per bit (A,).
+
+        ``position``: theirs, (A, 3); those that do not learn stay.
+        """
+        kept, box = np.ones(len(worth), np.bool_), self._config.learning_box
+        may_go = np.ones_like(kept) if box is None else box.holds(position)
         candidates = worth[may_go]
         least = len(candidates) - int(MOST_THINNED * len(candidates))
         if self._config.target_size:
             others = len(worth) - len(candidates)
             least, price = max(least, self._config.held_anchors - others), math.inf
-        kept = np.ones(len(worth), np.bool_)
         if least < len(candidates):
             limit = float(np.partition(candidates, -least)[-least])
             kept[may_go] = candidates >= min(price, limit)

@@ -157,9 +157,10 @@ def first_state(device: Device, dataset: Dataset, config: TrainConfig) -> RunSta
     """
     rng = np.random.default_rng(config.seed)
     limits, points = [config.most_anchors] if config.most_anchors else [], dataset.points
-    if dataset.kind == BLENDER and dataset.drawn and not config.start_points:
-        points = points[: hull_points(config.steps * config.batch)]
-    if dataset.kind != BLENDER:
+    if dataset.kind == BLENDER:
+        if dataset.drawn and not config.start_points:
+            points = points[: hull_points(config.steps * config.batch)]
+    else:
         pixels = max(view.camera.width * view.camera.height for view in dataset.train)
         wanted = min(config.start_fill * len(points), pixels / FILL_PIXELS)
         points = filled(points, int(wanted), config.seed)

@@ -32,7 +32,7 @@ from clgs.ops.rate import Rate
 from clgs.render.frame import DeviceScene
 from clgs.scene.anchors import FIELDS, Anchors, QuantizationScales
 from clgs.train.config import TrainConfig
-from clgs.train.config.option import options_of
+from clgs.train.config.option import older_values, options_of
 from clgs.train.quality.importance import Sensitivity
 from clgs.train.state.run_state import (
     ANCHOR_GROUPS,
@@ -307,8 +307,7 @@ def changed_settings(folder: Path, config: TrainConfig) -> str:
         return ""
     here = tomllib.loads(config.to_toml())
     options = options_of(TrainConfig)
-    older = {name: one.before for name, one in options.items() if one.before != one.default}
-    there = {**older, **there}
+    there = {**older_values(TrainConfig), **there}
     kept = [name for name, one in options.items() if one.in_digest]
     names = [name for name in kept if there.get(name) != here.get(name)]
     if "steps" in names:
