@@ -62,7 +62,8 @@ def class_bits(integers: npt.NDArray[np.integer], classes: npt.NDArray[np.int64]
     (Schwarz 1978). A channel of too wide a range counts without classes.
     """
     bits = 0.0
-    for channel in np.ascontiguousarray(integers.reshape(len(integers), -1).T):
+    for column in integers.reshape(len(integers), -1).T:
+        channel = np.ascontiguousarray(column)
         first, most = (int(channel.min()), int(channel.max())) if len(channel) else (0, 0)
         width = most - first + 1
         if width * CLASSES > MOST_VALUES:
@@ -89,9 +90,10 @@ def entropy_bits(integers: npt.NDArray[np.integer]) -> float:
     """
     bits = 0.0
     channels = math.prod(integers.shape[1:])
-    for channel in np.ascontiguousarray(integers.reshape(len(integers), channels).T):
-        if not len(channel):
+    for column in integers.reshape(len(integers), channels).T:
+        if not len(column):
             continue
+        channel = np.ascontiguousarray(column)
         first = int(channel.min())
         if int(channel.max()) - first > MOST_VALUES:
             counts = np.unique(channel, return_counts=True)[1]
@@ -164,9 +166,10 @@ def estimated_bytes(
     device: Device, config: TrainConfig, parameters: Parameters, scales: QuantizationScales
 ) -> int:
     """About the bytes that the file of the rounded parameters has."""
-    anchors = parameters.download_anchors(device)
-    integers = {
-        name: rounded(getattr(anchors, name), getattr(scales, name)) for name in ANCHOR_GROUPS
-    }
+    anchors, integers = parameters.scene.anchors, {}
+    shown = ~np.isnan(device.download(anchors.position)[:, 0])
+    for name in ANCHOR_GROUPS:  # one array of floats at a time: this is where a run peaks
+        values = device.download(getattr(anchors, name))[shown]
+        integers[name] = rounded(values, getattr(scales, name))
     bits = sum(coded_bits(integers).values()) / parameters.count + POSITION_BITS
     return int(parameters.count * bits / 8) + MLP_BYTES[config.mlp]
