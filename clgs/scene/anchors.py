@@ -104,7 +104,8 @@ class QuantizationScales:
 def rounded(values: npt.NDArray[np.float32], q: float) -> npt.NDArray[np.int32]:
     """The integers of values at ``q`` integers per unit, rounded in float32 as the kernel does."""
     scaled = values * np.float32(q)
-    return np.rint(scaled, out=scaled).astype(np.int32)
+    np.rint(scaled, out=scaled)
+    return np.asarray(scaled, np.int32)
 
 
 def quantize(anchors: AnchorSet, scales: QuantizationScales) -> QuantizedAnchors:

@@ -70,7 +70,9 @@ UNLEARNED = 40
 """Before this many steps nothing has grown or learned yet."""
 
 THINNED = (0.5, 0.7, 0.9)
-"""Shares of the steps before the switch after which anchors go."""
+"""Shares of the steps before the switch after which anchors go, if others still grow then or a size
+is asked for: the less must go at the switch, the better.
+"""
 
 MOST_THINNED = 0.3
 """Share of the anchors that goes at most each time: they gain importance as others go."""
@@ -126,6 +128,8 @@ class Economy:
         self._most_loss = MOST_LOSS ** min(max(1.0, self._lambda / usual), NO_LIMIT)
         active = self._lambda > 0 or config.target_size > 0
         thinned = [share * config.switch_step for share in THINNED]
+        if not config.target_size:
+            thinned = [step for step in thinned if step < config.growth_end]
         if config.switch_step < UNLEARNED:
             thinned = []
         if config.box:

@@ -113,6 +113,16 @@ def test_long_runs_have_more_rounds(cpu, dataset):
     assert counts == [1, *(len(THINNED) + n for n in (LEAST_ROUNDS, 5, ROUNDS))]
 
 
+@pytest.mark.parametrize("size", [0, 30_000])
+def test_anchors_go_before_the_switch_while_others_grow_or_for_a_size(cpu, dataset, size):
+    settings = config(dataset, growth_start=0, statistics_start=0, target_size=size)
+    for share, rounds in zip((0.0, 0.6, 0.8, 1.0), range(4), strict=True):
+        one = replace(settings, growth_end=round(share * settings.switch_step))
+        steps = Economy(cpu, dataset, one, Rounding(cpu, one)).steps
+        before = [step for step in steps if step < settings.switch_step]
+        assert len(before) == (3 if size else rounds)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [0, 30_000])
 def test_in_a_box_its_least_anchors_go_before_the_switch_and_no_others(cpu, dataset, size):
