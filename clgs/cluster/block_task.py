@@ -259,5 +259,5 @@ def block_state(
 ) -> RunState:
     """The state of a run that goes on with ``start`` after step number ``begun``."""
     state = state_of_scene(device, dataset, config, start.dequantize(), begun)
-    state.rate.scales, state.begun = start.scales, begun
+    state.rate.scales = start.scales
     return state

@@ -32,7 +32,7 @@ from clgs.train.config.settings import BLENDER
 from clgs.train.run.run_folder import finished_settings, settings_for
 from clgs.train.state.checkpoint import checkpoints, load_state
 from clgs.train.state.hashes import run_digest
-from clgs.train.state.run_state import RunState, new_exposures, new_state
+from clgs.train.state.run_state import Means, RunState, new_exposures, new_state
 from clgs.train.state.voxel_grid import initial_anchors
 
 MIN_TRIANGULATED = 100
@@ -182,7 +182,8 @@ def state_of_scene(
     """
     rng = np.random.default_rng(config.seed)
     state = new_state(device, config, len(dataset.train), scene.anchors, scene.mlps, rng)
-    state.step = step
+    state.step = state.begun = step
+    state.means = Means(step)
     return state
 
 

@@ -15,21 +15,20 @@ STEP = 100
 """The number of the step that the scene has done."""
 
 
-def going_on(device, dataset, begun):
-    """A run of a trained scene, its settings, and the features before its next step."""
+def going_on(device, dataset, done=STEP):
+    """A run after ``done`` steps of a scene, its settings, and that scene."""
     config = replace(preset("default").scaled(240), voxel=0.02).for_dataset(dataset.kind)
     first = Trainer(device, dataset, config)
     list(first.steps(5))
     scene = first.quantized_scene().dequantize()
-    state = state_of_scene(device, dataset, config, scene, STEP)
-    state.begun = begun
-    return Trainer(device, dataset, config, state=state), config, scene.anchors.feature
+    state = state_of_scene(device, dataset, config, scene, done)
+    return Trainer(device, dataset, config, state=state), config, scene
 
 
 def test_the_first_step_is_the_learning_rate(dataset, cpu):
-    one, config, before = going_on(cpu, dataset, STEP)
+    one, config, before = going_on(cpu, dataset)
     one.step()
-    moved = np.abs(one.parameters.download_anchors(cpu).feature - before)
+    moved = np.abs(one.parameters.download_anchors(cpu).feature - before.anchors.feature)
     rate = learning_rates(config, STEP + 1, dataset.radius)["feature"]
     changed = moved[moved > 0]
     assert len(changed) > 1000
@@ -39,10 +38,11 @@ def test_the_first_step_is_the_learning_rate(dataset, cpu):
 
 
 def test_a_checkpoint_keeps_it(dataset, cpu, tmp_path):
-    one, _, _ = going_on(cpu, dataset, STEP)
+    one, _, _ = going_on(cpu, dataset)
     one.step()
     one.save(tmp_path / "checkpoint")
-    other, _, _ = going_on(cpu, dataset, 0)
+    other, _, _ = going_on(cpu, dataset)
+    other.state.begun = 0
     other.resume(tmp_path / "checkpoint")
     assert (other.state.step, other.state.begun) == (STEP + 1, STEP)
     list(one.steps(3))
@@ -51,3 +51,16 @@ def test_a_checkpoint_keeps_it(dataset, cpu, tmp_path):
         one.parameters.scene.items(), other.parameters.scene.items(), strict=True
     ):
         np.testing.assert_array_equal(cpu.download(mine[1]), cpu.download(theirs[1]))
+
+
+def test_means_are_of_the_steps_that_it_does_itself(dataset, cpu):
+    """A few steps at the end of a run: the networks end where those steps took them."""
+    last = 240
+    one, config, before = going_on(cpu, dataset, last - 3)
+    assert last - 3 > config.freeze_step
+    for _ in one.steps(3):
+        pass
+    rates = learning_rates(config, last - 2, dataset.radius)
+    farthest = 3 * max(rate for name, rate in rates.items() if name.startswith("mlp"))
+    moved = np.abs(cpu.download(one.parameters.scene.weights) - before.mlps.flat)
+    assert 0 < moved.max() < 1.01 * farthest
