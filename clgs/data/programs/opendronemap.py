@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import numpy.typing as npt
 
 from clgs.data.lens import Lens
 from clgs.data.posed_photo import ListedPhoto, PhotoSet
@@ -84,7 +84,7 @@ def _read_model(root: Path, file: Path) -> PhotoSet:
         source = f"{file}: shot {name[:80]!r}"
         turn = numbers(lookup(shot, "rotation", list, source), (3,), source, "rotation")
         moved = numbers(lookup(shot, "translation", list, source), (3,), source, "translation")
-        rotation = Rotation.from_rotvec(turn).as_matrix()
+        rotation = _matrix(turn)
         listed.append(_listed(name, source, rotation, moved, cameras, shot.get("camera")))
     found = photo_set(KIND, root, file, listed)
     points = [one for one in dict(model.get("points") or {}).values() if isinstance(one, dict)]
@@ -103,6 +103,13 @@ def _read_model(root: Path, file: Path) -> PhotoSet:
     return found
 
 
+def _matrix(turn: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """The rotation by the vector ``turn`` (3,), axis times radians, as a matrix (3, 3)."""
+    from scipy.spatial.transform import Rotation  # 0.2 s, 30 MB: only where it is needed
+
+    return np.asarray(Rotation.from_rotvec(turn).as_matrix())
+
+
 def _read_shots(root: Path, file: Path) -> PhotoSet:
     cameras = read_table(in_any_case(root / CAMERAS), dict)
     listed = []
@@ -112,7 +119,7 @@ def _read_shots(root: Path, file: Path) -> PhotoSet:
         source = f"{file}: shot {name[:80]!r}"
         turn = numbers(lookup(shot, "rotation", list, source), (3,), source, "rotation")
         centre = numbers(lookup(shot, "translation", list, source), (3,), source, "translation")
-        rotation, moved = pose(Rotation.from_rotvec(turn).as_matrix().T, centre, source)
+        rotation, moved = pose(_matrix(turn).T, centre, source)
         listed.append(_listed(name, source, rotation, moved, cameras, shot.get("camera")))
     found = photo_set(KIND, root, file, listed)
     found.frame = frame_of(np.array([photo.centre for photo in found.train + found.test]))

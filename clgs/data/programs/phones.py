@@ -9,7 +9,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from clgs.data.images import list_images
 from clgs.data.lens import Lens
@@ -101,6 +100,8 @@ def read_record3d(root: Path, file: Path) -> PhotoSet:
             f"{file}: perFrameIntrinsicCoeffs has not one entry for each of the {len(poses)} "
             "poses; export again"
         )
+    from scipy.spatial.transform import Rotation  # 0.2 s, 30 MB: only where it is needed
+
     shared = () if own else numbers(given.get("K"), (9,), source, "K")[[0, 4, 6, 7]]
     listed = []
     for frame, values in enumerate(poses):

@@ -224,6 +224,7 @@ class Trainer:
             state.parameters = replace_anchors(
                 self.device, self.config, state.parameters, settled.frame, state.rng
             )
+            self.device.release_unused()  # arrays of these sizes come again with the next ones
         if self._ahead and self.queue.room == EXACT_ROOM:
             self.queue.room = EXACT_ROOM.grown(settled.needed())
         state.step, value = settled.given.step, settled.loss()

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from clgs.constants import FEATURE_DIM, K_OFFSETS
 from clgs.errors import ClgsError, DataError
@@ -127,6 +126,8 @@ def initial_anchors(
         drawn = np.random.default_rng(seed).choice(len(integers), most, replace=False)
         integers = integers[np.sort(drawn)]
     position = (integers / np.float64(1.0 / voxel)).astype(np.float32)
+    from scipy.spatial import cKDTree  # no block of a run in blocks needs it
+
     count, exact = len(position), position.astype(np.float64)
     distance, _ = cKDTree(exact).query(exact, k=NEIGHBOURS + 1)
     squared = np.maximum(np.square(distance[:, 1:]).mean(axis=1), SQUARED_DISTANCE_FLOOR)
