@@ -14,9 +14,8 @@ from clgs.exports.report import REPORT, write_run_report
 from clgs.files import check_folder, write_json
 from clgs.machine import return_freed_memory
 from clgs.opencl.device import Device
-from clgs.scene.scene import QuantizedScene
 from clgs.train.config import TrainConfig
-from clgs.train.run.load import load_for, state_of_run
+from clgs.train.run.load import check_box, load_for, state_of_run
 from clgs.train.run.run_folder import (
     RunResult,
     check_run_folder,
@@ -100,7 +99,7 @@ def train(
     dataset = load_for(config, data, points, lambda line: on_event(Note(line)))
     if start is not None:
         scene = finished_settings(start)[0].scene
-        _check_box(config, scene, start)
+        check_box(config, scene.dequantize().anchors.position, f"the anchors of {start}")
         posed = repose(dataset, scene.transform)
         if doubt := same_place(start, dataset, posed, data):
             on_event(Note(doubt))
@@ -131,15 +130,6 @@ def train(
         write_json(folder / "profile.json", record)
     write_report()
     return TrainedRun(result, config.steps, times=tuple(rows), saved=tuple(saved))
-
-
-def _check_box(config: TrainConfig, scene: QuantizedScene, start: Path) -> None:
-    """Raise UsageError if only the anchors of a box are to learn, and it holds none."""
-    position = scene.dequantize().anchors.position
-    if config.learning_box is not None and not config.learning_box.holds(position).any():
-        ends = (",".join(f"{x:.3g}" for x in end) for end in (position.min(0), position.max(0)))
-        where = f"which reach from {' to '.join(ends)} in scene units"
-        raise UsageError(f"box: {config.box} holds none of the anchors of {start}, {where}")
 
 
 def read_finished(

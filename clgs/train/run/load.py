@@ -16,6 +16,7 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from clgs.codec.scene_decoder import decode
 from clgs.data.dataset import LEAST_POINTS, Dataset, load_dataset, to_scene_points
@@ -154,6 +155,7 @@ def first_state(device: Device, dataset: Dataset, config: TrainConfig) -> RunSta
 
     Raises:
         DataError: the points, or the file of ``config.start_mlps``, cannot be used.
+        UsageError: only the anchors of a box learn, and it holds none.
     """
     rng = np.random.default_rng(config.seed)
     limits, points = [config.most_anchors] if config.most_anchors else [], dataset.points
@@ -168,8 +170,20 @@ def first_state(device: Device, dataset: Dataset, config: TrainConfig) -> RunSta
             limits.append(max(LEAST_ANCHORS, int(pixels / config.start_pixels)))
     most = min(limits, default=0)  # 0: one per voxel that holds points
     anchors = initial_anchors(points, config.voxel, most, config.seed)
+    check_box(config, anchors.position, "the anchors that the run begins with")
     mlps = start_mlps(config.start_mlps, rng)
     return new_state(device, config, len(dataset.train), anchors, mlps, rng)
+
+
+def check_box(config: TrainConfig, position: npt.NDArray[np.float32], whose: str) -> None:
+    """Raise UsageError if only the anchors of a box are to learn, and it holds none.
+
+    ``position``: of ``whose``, which the error names, (A, 3), scene units.
+    """
+    if config.learning_box is not None and not config.learning_box.holds(position).any():
+        ends = (",".join(f"{x:.3g}" for x in end) for end in (position.min(0), position.max(0)))
+        where = f"which reach from {' to '.join(ends)} in scene units"
+        raise UsageError(f"box: {config.box} holds none of {whose}, {where}")
 
 
 def state_of_scene(

@@ -10,7 +10,7 @@ import pytest
 from clgs.codec.scene_encoder import encode
 from clgs.constants import FEATURE_DIM, HEAD_DIMS
 from clgs.data.dataset import load_dataset
-from clgs.errors import CodecError, DataError
+from clgs.errors import CodecError, DataError, UsageError
 from clgs.scene.mlps import MLP_SIZE, init_mlps
 from clgs.scene.storage import save_scene
 from clgs.train.config import TrainConfig, preset
@@ -102,6 +102,12 @@ def test_long_runs_begin_with_the_first_of_the_points(tmp_path, cpu):
     assert first_state(cpu, data, given).parameters.count == found[3_000]
     own = replace(data, drawn=False)
     assert first_state(cpu, own, settings).parameters.count == found[3_000]
+
+
+def test_a_box_that_holds_none_of_the_first_anchors_is_refused(dataset, cpu):
+    config = replace(preset("default").scaled(30), box="90,90,90,91,91,91")
+    with pytest.raises(UsageError, match="90,91,91,91 holds none of the anchors that the run"):
+        first_state(cpu, dataset, config.for_dataset(dataset.kind))
 
 
 @pytest.mark.slow
