@@ -126,8 +126,11 @@ LEAST_SCALE = 0.05
 SCALES_PER_OCTAVE = 4
 """Integers per unit are powers of the root of this order of 2."""
 
-LEAST_POWER, MOST_POWER = -2 * SCALES_PER_OCTAVE, 8 * SCALES_PER_OCTAVE
-"""Powers for 1/4 and for 256 integers per unit."""
+LEAST_POWER, MOST_POWER = 0, 8 * SCALES_PER_OCTAVE
+"""Powers for 1 integer per unit, as the paper has for offsets and features, and for 256. With fewer
+nearly all features are 0: one by one they seem worth less than their bits, all together they are
+most of the picture.
+"""
 
 BLOCK = 256
 """Rows looked at at once: what is computed of them stays in a processor's cache."""

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from clgs.reference.rate import laplace_nats
 from clgs.train.rate.pricing import (
+    LEAST_POWER,
     LEAST_SCALE,
     MOST_POWER,
     SCALES_PER_OCTAVE,
@@ -85,9 +86,15 @@ def test_the_best_scale_is_no_worse_than_any_other(price, rng):
         return float(loss + price * nats_of(integers, integers).sum() / np.log(2.0))
 
     found = best_scale(values, curvature, price)
-    tried = [2.0 ** (power / SCALES_PER_OCTAVE) for power in range(-8, MOST_POWER + 1)]
+    tried = [2.0 ** (power / SCALES_PER_OCTAVE) for power in range(LEAST_POWER, MOST_POWER + 1)]
     assert found in tried
     assert cost(found) <= 1.0001 * min(map(cost, tried))
+
+
+def test_no_price_makes_integers_coarser_than_the_units_of_the_paper(rng):
+    # By single values 1/4 would be cheaper: nearly all would be 0, and the picture gone.
+    values = rng.laplace(0.0, 1.5, (3000, 4)).astype(np.float32)
+    assert best_scale(values, np.full(values.shape, 1e-5), 1e-2) == 1.0
 
 
 def test_values_near_integers_do_not_hold_the_scale_at_one(rng):
