@@ -86,6 +86,11 @@ is raised to a power if lambda is more than the default. What a price costs is e
 changes of single values, and pictures that fit badly seem to allow large changes of many.
 """
 
+MOST_DEARER = 2.0
+"""If lambda is more than the default, up to this many times as many anchors go in a round: few good
+ones make better pictures than many whose integers are coarse.
+"""
+
 NO_LIMIT = 1000.0
 """The loss has no limit from this many times the usual lambda on; the power stays finite."""
 
@@ -125,7 +130,9 @@ class Economy:
         moments = np.linspace(config.switch_step, last, rounds, endpoint=ends)
         self._lambda = config.size_lambda or 0.0
         usual = default_lambda(dataset.kind, config.steps * config.batch)
-        self._most_loss = MOST_LOSS ** min(max(1.0, self._lambda / usual), NO_LIMIT)
+        dearer = max(1.0, self._lambda / usual)
+        self._most_loss = MOST_LOSS ** min(dearer, NO_LIMIT)
+        self._most = MOST * min(dearer, MOST_DEARER)
         active = self._lambda > 0 or config.target_size > 0
         thinned = [share * config.switch_step for share in THINNED]
         if not config.target_size:
@@ -169,7 +176,7 @@ class Economy:
             price, state.rate.price, state.rate.scales = offer.price, offer.price, offer.scales
             rows = state.parameters.download(device)
             before = len(rows.anchors)
-            most = MOST if step <= config.prune_end else 0.0
+            most = self._most if step <= config.prune_end else 0.0
             if step > config.prune_end and step == self.steps[-1] and config.target_size:
                 most = 1.0  # the size must be met
             changed, kept = offer.apply(rows, most)
@@ -208,7 +215,7 @@ class Economy:
             return len(encode(QuantizedScene(anchors, weights, scales, settings, transform)))
 
         def loss(offer: PricedAnchors) -> float:
-            anchors = offer.outcome(MOST).map(device.upload)
+            anchors = offer.outcome(self._most).map(device.upload)
             return compare(device, config, DeviceScene(anchors, drawn), self.views)[0]
 
         if step == config.switch_step:

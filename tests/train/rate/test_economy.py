@@ -11,8 +11,15 @@ from clgs.codec.scene_encoder import encode
 from clgs.train.config import TrainConfig, preset
 from clgs.train.config.settings import FINE_Q
 from clgs.train.rate import economy
-from clgs.train.rate.economy import ANCHOR_BITS, LEAST_ROUNDS, ROUNDS, THINNED, Economy
-from clgs.train.rate.pricing import compare
+from clgs.train.rate.economy import (
+    ANCHOR_BITS,
+    LEAST_ROUNDS,
+    MOST_DEARER,
+    ROUNDS,
+    THINNED,
+    Economy,
+)
+from clgs.train.rate.pricing import MOST, compare
 from clgs.train.run.session import train_scene
 from clgs.train.run.trainer import Trainer
 from clgs.train.state.rounding import Rounding, rounded_anchors
@@ -66,6 +73,8 @@ def test_lambda_trades_size_for_quality(cpu, dataset, untouched):
     early = [one for one in smaller.rounds if one.step < smaller.config.switch_step]
     assert [one.changed for one in early] == [0] * len(THINNED)
     assert all(0.7 * one.before <= one.after < one.before for one in early)
+    gone = [1 - one.after / one.before for one in smaller.rounds if one not in early]
+    assert MOST < max(gone) <= MOST_DEARER * MOST + 0.01  # whole anchors
     ended = [one for one in small.rounds if one.step > small.config.prune_end]
     assert ended
     assert all(one.before == one.after for one in ended)
