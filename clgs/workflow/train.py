@@ -112,6 +112,9 @@ def train(
         return read_finished(finished, config.steps, write_report, on_event)
     first = None if start is None else partial(state_of_run, opened, dataset, folder=start)
     session = Session(dataset, folder, config, opened, resume, first, others)
+    if start is not None and not session.trainer.heeds_lambda:
+        text = f"{config.steps} steps come to no round that prices bytes; give more --steps"
+        on_event(Note(f"lambda: {config.size_lambda:g} changes nothing, {text}"))
 
     def report(progress: Progress) -> None:
         on_event(TrainingProgress(progress, config.steps))

@@ -46,6 +46,7 @@ from clgs.train.rate.pricing import (
     Situation,
     compare,
     judge,
+    least_worth,
     look,
     priced,
     priced_for_size,
@@ -70,8 +71,9 @@ UNLEARNED = 40
 """Before this many steps nothing has grown or learned yet."""
 
 THINNED = (0.5, 0.7, 0.9)
-"""Shares of the steps before the switch after which anchors go, if others still grow then or a size
-is asked for: the less must go at the switch, the better.
+"""Shares of the steps before the switch after which anchors go. A scene that has grown before, as
+the merged one of blocks, keeps them then, unless a size is asked for: the less must go at the
+switch, the better.
 """
 
 MOST_THINNED = 0.3
@@ -135,8 +137,6 @@ class Economy:
         self._most = MOST * min(dearer, MOST_DEARER)
         active = self._lambda > 0 or config.target_size > 0
         thinned = [share * config.switch_step for share in THINNED]
-        if not config.target_size:
-            thinned = [step for step in thinned if step < config.growth_end]
         if config.switch_step < UNLEARNED:
             thinned = []
         if config.box:
@@ -156,6 +156,10 @@ class Economy:
             ClgsError: no anchor is left.
         """
         device, config = self._device, self._config
+        has_grown = state.begun >= config.growth_end > 0
+        if has_grown and step < config.switch_step and not config.target_size:
+            count = state.parameters.count
+            return Round(step, count, count, changed=0, price=0.0)
         device.release_unused()
         scene = self._rounding.scene_at(state, step + (step > config.switch_step))
         found = self._look(state.known, scene, step)
@@ -242,13 +246,12 @@ class Economy:
         kept, box = np.ones(len(worth), np.bool_), self._config.learning_box
         may_go = np.ones_like(kept) if box is None else box.holds(position)
         candidates = worth[may_go]
-        least = len(candidates) - int(MOST_THINNED * len(candidates))
+        count = int(MOST_THINNED * len(candidates))
         if self._config.target_size:
             others = len(worth) - len(candidates)
-            least, price = max(least, self._config.held_anchors - others), math.inf
-        if least < len(candidates):
-            limit = float(np.partition(candidates, -least)[-least])
-            kept[may_go] = candidates >= min(price, limit)
+            count = min(count, len(candidates) - (self._config.held_anchors - others))
+            price = math.inf
+        kept[may_go] = ~least_worth(candidates, count, price)
         return kept
 
     def _price(self, judged: Judgement, anchors: int) -> float:

@@ -311,10 +311,7 @@ class PricedAnchors:
 
     def stay(self, most: float) -> npt.NDArray[np.bool_]:
         """Which anchors (A,) stay if at most the share ``most`` of them goes."""
-        if most <= 0:
-            return np.ones(len(self.worth), np.bool_)
-        limit = float(np.quantile(self.worth, most, method="lower"))
-        return self.worth >= min(self.price, limit)
+        return ~least_worth(self.worth, int(most * (len(self.worth) - 1)), self.price)
 
     def outcome(self, most: float) -> AnchorSet:
         """The anchors that :meth:`apply` leaves, rounded."""
@@ -340,6 +337,17 @@ class PricedAnchors:
         kept = self.stay(most)
         rows.keep(kept)
         return changed, kept
+
+
+def least_worth(worth: Floats, count: int, price: float) -> npt.NDArray[np.bool_]:
+    """Which (A,) are the ``count`` of least ``worth`` (A,), unless they are worth ``price``.
+
+    Of equal ones the first: often many are worth nothing. What is no number goes.
+    """
+    least = np.argsort(worth, kind="stable")[: max(count, 0)]
+    found = np.isnan(worth)
+    found[least[worth[least] < price]] = True
+    return found
 
 
 def priced(price: float, now: Situation) -> PricedAnchors:

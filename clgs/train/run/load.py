@@ -233,6 +233,8 @@ def state_of_run(device: Device, dataset: Dataset, config: TrainConfig, folder: 
     same = found.summary["digest"] == run_digest(dataset, settings_for(dataset, old))
     if same and saved and int(saved[0].stem.removeprefix("step_")) == steps:
         state = load_state(folder / "checkpoint", device, found.summary["digest"])
+        if steps < config.switch_step:
+            state.known = None  # the anchors change again before the next round that asks
     else:
         state = state_of_scene(device, dataset, config, found.scene.dequantize(), steps)
         state.rate.scales = scales

@@ -124,6 +124,13 @@ class Trainer:
         return self.state.step
 
     @property
+    def heeds_lambda(self) -> bool:
+        """Whether bits have the price that lambda asks for, or a round to come sets it."""
+        state, config = self.state, self.config
+        wanted = config.size_lambda and not config.target_size and not state.rate.price
+        return not wanted or any(step >= state.step for step in self.economy.steps)
+
+    @property
     def options(self) -> RenderOptions:
         """Accuracy and skips of every render."""
         return self.queue.options

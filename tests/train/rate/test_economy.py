@@ -122,14 +122,16 @@ def test_long_runs_have_more_rounds(cpu, dataset):
     assert counts == [1, *(len(THINNED) + n for n in (LEAST_ROUNDS, 5, ROUNDS))]
 
 
-@pytest.mark.parametrize("size", [0, 30_000])
-def test_anchors_go_before_the_switch_while_others_grow_or_for_a_size(cpu, dataset, size):
-    settings = config(dataset, growth_start=0, statistics_start=0, target_size=size)
-    for share, rounds in zip((0.0, 0.6, 0.8, 1.0), range(4), strict=True):
-        one = replace(settings, growth_end=round(share * settings.switch_step))
-        steps = Economy(cpu, dataset, one, Rounding(cpu, one)).steps
-        before = [step for step in steps if step < settings.switch_step]
-        assert len(before) == (3 if size else rounds)
+@pytest.mark.slow
+@pytest.mark.parametrize(("size", "begun"), [(0, 20), (0, 29), (0, 30), (30_000, 30)])
+def test_what_has_grown_before_is_thinned_for_a_size_alone(cpu, dataset, size, begun):
+    growth = {"growth_start": 0, "statistics_start": 0, "growth_end": 30}
+    trainer = Trainer(cpu, dataset, config(dataset, target_size=size, **growth))
+    trainer.state.step = trainer.state.begun = begun
+    list(trainer.steps(trainer.config.switch_step - begun))
+    assert [one.step for one in trainer.rounds] == trainer.economy.steps[: len(THINNED)]
+    gone = [one.before - one.after for one in trainer.rounds]
+    assert gone[0] > 0 if size or begun < 30 else not any(gone)
 
 
 @pytest.mark.slow

@@ -142,6 +142,15 @@ def test_at_most_a_share_goes(now, state):
     assert np.isin(state.anchors.position[:, 0], before).all()
 
 
+def test_of_anchors_that_are_worth_nothing_a_share_goes(now, state):
+    offer = priced(1.0, now)
+    offer = replace(offer, worth=np.where(np.arange(COUNT) % 2, 0.0, 2.0))
+    _, kept = offer.apply(state, 0.25)
+    gone = np.flatnonzero(~kept)
+    np.testing.assert_array_equal(gone, 2 * np.arange(len(gone)) + 1)  # the first of equal ones
+    assert len(gone) in (0.25 * COUNT - 1, 0.25 * COUNT)
+
+
 def test_something_must_be_left(now, state):
     offer = priced(1.0, now)
     with pytest.raises(ClgsError, match="no anchors"):

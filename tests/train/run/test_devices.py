@@ -260,5 +260,6 @@ def test_the_command_trains_on_a_device_named_twice(tmp_path, capsys):
     assert exit_code(again) == 0
     assert "is finished already" in capsys.readouterr().out
     further = ["train", str(data), "--from", str(tmp_path / "twice"), "-o", str(tmp_path / "more")]
-    assert exit_code([*further, "--steps", "14"]) == 0
+    assert exit_code([*further, "--steps", "14", "--lambda", "9"]) == 0
+    assert "lambda: 9 changes nothing, 14 steps come to no round that" in capsys.readouterr().err
     assert re.search(r"^batch = 2$", (tmp_path / "more" / "config.toml").read_text(), re.MULTILINE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -106,6 +107,15 @@ def first(dataset, open_device, tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "first"
     train_scene(dataset, folder, config().scaled(40), device=open_device("cpu"))
     return folder
+
+
+@pytest.mark.slow
+def test_anchors_of_a_much_longer_run_are_judged_anew(dataset, open_device, first, tmp_path):
+    """It grows and thins them again before the switch to integers comes, later than before."""
+    device, before = open_device("cpu"), json.loads((first / "results.json").read_text())
+    run = train_scene(dataset, tmp_path / "long", config(), device=device, start=first)
+    assert run.summary["anchors"] != before["anchors"]
+    assert run.summary["psnr"] > before["psnr"]
 
 
 @pytest.mark.parametrize(
