@@ -74,7 +74,7 @@ def psnr_8bit(
     shapes.check("render", render, "H W 3", np.uint8)
     shapes.check("photo", photo, "H W 3", np.uint8)
     squared = render / 255.0
-    for channel in range(3):  # a run peaks here: one array of the picture's size is enough
+    for channel in range(3):  # without a second array of the picture's size
         squared[..., channel] -= photo[..., channel] / 255.0
     np.square(squared, out=squared)
     return float(_decibel(_chosen(squared, used).mean()))

@@ -344,9 +344,11 @@ def least_worth(worth: Floats, count: int, price: float) -> npt.NDArray[np.bool_
 
     Of equal ones the first: often many are worth nothing. What is no number goes.
     """
-    least = np.argsort(worth, kind="stable")[: max(count, 0)]
-    found = np.isnan(worth)
-    found[least[worth[least] < price]] = True
+    found = np.zeros(len(worth), np.bool_)
+    if count > 0:
+        least = np.argsort(worth, kind="stable")[:count]
+        found[least[worth[least] < price]] = True
+        found |= np.isnan(worth)
     return found
 
 

@@ -168,7 +168,7 @@ def estimated_bytes(
     """About the bytes that the file of the rounded parameters has."""
     anchors, integers = parameters.scene.anchors, {}
     shown = ~np.isnan(device.download(anchors.position)[:, 0])
-    for name in ANCHOR_GROUPS:  # one array of floats at a time: this is where a run peaks
+    for name in ANCHOR_GROUPS:  # one array of floats at a time: a run peaks here
         values = device.download(getattr(anchors, name))[shown]
         integers[name] = rounded(values, getattr(scales, name))
     bits = sum(coded_bits(integers).values()) / parameters.count + POSITION_BITS
