@@ -133,7 +133,9 @@ def finished_settings(folder: Path) -> tuple[RunResult, TrainConfig]:
         text = (folder / SETTINGS).read_text(encoding="utf-8")
         return _read(folder), from_toml(text, str(folder / SETTINGS))
     except (ValueError, TypeError, KeyError, RecursionError, FileNotFoundError) as error:
-        raise DataError(f"{folder}: a finished run, but damaged ({error})") from error
+        raise DataError(
+            f"{folder}: a finished run, but damaged ({error}); restore its files or train it again"
+        ) from error
 
 
 def check_run_folder(folder: Path, resume: bool, overwrite: bool, in_blocks: bool = False) -> None:

@@ -109,6 +109,15 @@ def first(dataset, open_device, tmp_path_factory):
     return folder
 
 
+def test_a_damaged_run_is_not_trained_on(dataset, open_device, first, tmp_path):
+    cut = shutil.copytree(first, tmp_path / "cut")
+    (cut / "scene.clgs").write_bytes((first / "scene.clgs").read_bytes()[:500])
+    with pytest.raises(
+        DataError, match=r"cut: .* damaged \(scene.clgs has .*\); restore its files"
+    ):
+        train_scene(dataset, tmp_path / "new", config(), device=open_device("cpu"), start=cut)
+
+
 @pytest.mark.slow
 def test_anchors_of_a_much_longer_run_are_judged_anew(dataset, open_device, first, tmp_path):
     """It grows and thins them again before the switch to integers comes, later than before."""
