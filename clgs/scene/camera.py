@@ -21,9 +21,6 @@ from clgs.errors import UsageError
 ORTHONORMAL = 1e-3
 """How far the products of a rotation's rows may be from those of unit axes."""
 
-PACKED_SIZE = 26
-"""Floats in a packed camera; ``kernels_cl/common/camera.h`` names them."""
-
 
 @dataclass(frozen=True)
 class Camera:

@@ -19,7 +19,6 @@ from clgs.cli.options import (
 from clgs.errors import UsageError
 
 if TYPE_CHECKING:
-    from clgs.train.config import TrainConfig
     from clgs.train.run.session import Progress
     from clgs.workflow.train import TrainedRun
 
@@ -89,21 +88,23 @@ def register(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Train; exit code 0."""
+    """Train, as a whole or in blocks; exit code 0."""
     from clgs.cli.display import Display
     from clgs.workflow.events import Event, TrainingProgress
-    from clgs.workflow.train import train
 
     config = make_config(vars(args))
-    if args.blocks is not None:
-        return run_blocks(args, config)
-    if args.workers is not None or args.scheduler is not None:
+    alone = {"--from": args.start, "--devices": args.devices, "--profile": args.profile}
+    for flag, given in {**alone, "--tensorboard": args.tensorboard}.items():
+        if given and args.blocks is not None:
+            raise UsageError(f"{flag}: not with --blocks; leave out one of both")
+    if args.blocks is None and (args.workers is not None or args.scheduler is not None):
         raise UsageError("--workers, --scheduler: train blocks; add --blocks auto")
     if args.tensorboard and find_spec("tensorboard") is None:
         raise UsageError("--tensorboard: is not installed; pip install 'clgs[tensorboard]'")
     events = EventLog(args.output / "tensorboard") if args.tensorboard else None
     display = Display()
-    options = chosen(vars(args), "start", "device", "devices", "resume", "overwrite", "profile")
+    own = ("start", "devices", "profile") if args.blocks is None else ("workers", "scheduler")
+    options = chosen(vars(args), *own, "device", "resume", "overwrite")
     options["command"] = args.command_line.replace(" --resume", "")  # it would change nothing
 
     def follow(event: Event) -> None:
@@ -111,35 +112,17 @@ def run(args: argparse.Namespace) -> int:
         if events is not None and isinstance(event, TrainingProgress):
             events.update(event.progress)
 
+    options["on_event"] = follow
     try:
         with display:
-            trained = train(args.data, args.output, config, on_event=follow, **options)
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt("; repeat the command with --resume to go on") from None
-    show(trained)
-    return 0
+            if args.blocks is None:
+                from clgs.workflow.train import train
 
+                trained = train(args.data, args.output, config, **options)
+            else:
+                from clgs.cluster.block_run import train_in_blocks
 
-def run_blocks(args: argparse.Namespace, config: TrainConfig) -> int:
-    """Train in blocks; exit code 0."""
-    from clgs.cli.display import Display
-    from clgs.cluster.block_run import train_in_blocks
-
-    for name, flag in (
-        ("start", "--from"),
-        ("devices", "--devices"),
-        ("profile", "--profile"),
-        ("tensorboard", "--tensorboard"),
-    ):
-        if getattr(args, name):
-            raise UsageError(f"{flag}: not with --blocks; leave out one of both")
-    options = chosen(vars(args), "workers", "scheduler", "device", "resume", "overwrite")
-    options["command"] = args.command_line.replace(" --resume", "")
-    try:
-        with Display() as display:
-            trained = train_in_blocks(
-                args.data, args.output, config, args.blocks, on_event=display, **options
-            )
+                trained = train_in_blocks(args.data, args.output, config, args.blocks, **options)
     except KeyboardInterrupt:
         raise KeyboardInterrupt("; repeat the command with --resume to go on") from None
     show(trained)
