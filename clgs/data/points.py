@@ -162,7 +162,8 @@ def filled(points: npt.NDArray[np.floating], count: int, seed: int) -> npt.NDArr
 def _distinct(points: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
     """Points (P, 3), each once, ascending by (x, y, z); np.unique takes much longer."""
     points = points[np.lexsort(points.T[::-1])]
-    return points[np.insert((points[1:] != points[:-1]).any(axis=1), 0, True)]
+    new = np.insert((points[1:] != points[:-1]).any(axis=1), 0, True)
+    return np.compress(new, points, axis=0)
 
 
 def _collect(
