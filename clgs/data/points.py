@@ -141,15 +141,12 @@ def filled(points: npt.NDArray[np.floating], count: int, seed: int) -> npt.NDArr
     points = _distinct(points)
     while NEIGHBOURS < len(points) < count and len(points) > before:
         before = len(points)
-        tree = cKDTree(points)
-        order = tree.indices  # one leaf after the other, so that a query finds much in the cache
-        distance, near = np.empty((before, NEIGHBOURS + 1)), np.empty((before, NEIGHBOURS + 1), int)
-        distance[order], near[order] = tree.query(
-            points[order], k=NEIGHBOURS + 1, workers=processors()
-        )
-        first, second = np.repeat(np.arange(before), NEIGHBOURS), near[:, 1:].ravel()
-        apart, spacing = distance[:, 1:].ravel(), distance[:, 1]
-        close = apart <= MOST_APART * np.maximum(spacing[first], spacing[second])
+        tree, spacing = cKDTree(points), np.empty(before)
+        order = tree.indices  # one leaf after the other: a query finds much in the cache
+        distance, near = tree.query(points[order], k=NEIGHBOURS + 1, workers=processors())
+        spacing[order] = distance[:, 1]
+        first, second = np.repeat(order, NEIGHBOURS), near[:, 1:].ravel()
+        close = distance[:, 1:].ravel() <= MOST_APART * np.maximum(spacing[first], spacing[second])
         least, greatest = np.minimum(first, second)[close], np.maximum(first, second)[close]
         pairs = np.sort(least * before + greatest)
         pairs = pairs[np.diff(pairs, prepend=-1) > 0]
@@ -162,8 +159,7 @@ def filled(points: npt.NDArray[np.floating], count: int, seed: int) -> npt.NDArr
 def _distinct(points: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
     """Points (P, 3), each once, ascending by (x, y, z); np.unique takes much longer."""
     points = points[np.lexsort(points.T[::-1])]
-    new = np.insert((points[1:] != points[:-1]).any(axis=1), 0, True)
-    return np.compress(new, points, axis=0)
+    return np.compress(np.append(True, (points[1:] != points[:-1]).any(1)), points, axis=0)
 
 
 def _collect(
