@@ -114,14 +114,10 @@ class Activations:
 
 @dataclass(frozen=True)
 class MlpGradients:
-    """Gradients of the loss, float32: d_weights (13710,), d_feature (A, F), zero if invisible.
-
-    d_position (A, 3) by the viewing direction alone, per scene unit; None if not wanted.
-    """
+    """Gradients of the loss, float32: d_weights (13710,), d_feature (A, F), zero if invisible."""
 
     d_weights: DeviceArray
     d_feature: DeviceArray
-    d_position: DeviceArray | None
 
 
 def padded_size(count: int) -> int:
@@ -214,9 +210,8 @@ def backward(
     inputs: Inputs,
     activations: Activations,
     d_output: DeviceArray,
-    want_position: bool = False,
 ) -> MlpGradients:
-    """Gradients by weights and features, and by positions if wanted.
+    """Gradients by weights and features; anchors do not move while training.
 
     Args:
         device: where the arrays live.
@@ -224,7 +219,6 @@ def backward(
         activations: what :func:`forward` returned.
         d_output: (110, Vp) float32, gradient by the activated outputs; that of a slot that is not
             drawn counts as zero.
-        want_position: whether to compute ``d_position`` (anchors do not move while training).
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
@@ -236,7 +230,6 @@ def backward(
     result = MlpGradients(
         d_weights=device.empty((MLP_SIZE,)),
         d_feature=device.zeros(anchors.feature.shape),
-        d_position=device.zeros(anchors.position.shape) if want_position else None,
     )
     parts = min(-(-activations.output.shape[1] // BATCH), PARTS)
     partial = device.zeros((parts, _part_size(device)))
@@ -246,12 +239,8 @@ def backward(
         "d_output": d_output,
         "active": activations.active,
     }
-    written: dict[str, Argument] = {
-        "d_feature": result.d_feature,
-        "d_position": result.d_position or result.d_feature,  # not written if not wanted
-    }
-    common = defines(device, activations.options)
-    macros = {**common, "WANT_POSITION": int(want_position)}
+    written: dict[str, Argument] = {"d_feature": result.d_feature}
+    macros = defines(device, activations.options)
     if device.specialisation == "cpu":
         workers = min(WORKERS * int(device.cl_device.max_compute_units), parts)
         device.run(
@@ -268,7 +257,7 @@ def backward(
     form = device.specialisation  # a work-item per sum, on a CPU per register tile
     each = 1 if form == "gpu" else WEIGHT_ROWS[form] * COLUMNS[form]
     device.run(
-        device.kernel("mlp/backward_sum", "mlp_backward_sum", **common),
+        device.kernel("mlp/backward_sum", "mlp_backward_sum", **macros),
         *by_items(_part_size(device) // each, GROUP_SIZE if form == "gpu" else 1),
         partial=partial,
         parts=np.int32(parts),
@@ -282,7 +271,7 @@ def _batch_size(device: Device) -> int:
     if device.specialisation == "gpu":
         rows = len(HEAD_DIMS) * 2 * HIDDEN_DIM + OUTPUT_DIM
     else:
-        rows = FEATURE_DIM + TILE["cpu"] + 2 * HIDDEN_DIM + max(HEAD_DIMS.values())
+        rows = FEATURE_DIM + 2 * HIDDEN_DIM + max(HEAD_DIMS.values())
     return (INPUT_DIM + 1 + rows) * (BATCH + 16)
 
 
@@ -310,7 +299,7 @@ def _backward_in_groups(
     """Fill ``written`` and ``partial``, SLAB batches at a time."""
     batches = -(-padded // BATCH)
     values = device.empty((min(SLAB, batches), _batch_size(device)))
-    not_read = "feature", "output", "d_output"
+    not_read = "feature", "position", "camera", "output", "d_output"
     inputs = {name: value for name, value in layers.items() if name not in not_read}
     for first in range(0, batches, SLAB):
         size = min(SLAB, batches - first)

@@ -77,13 +77,12 @@ class NeuralGradients:
     """Gradients of the loss, float32, dense: zero if nothing was drawn.
 
     d_output (110, Vp) by the MLPs' outputs, anything for a slot that is not drawn;
-    d_offset (A, K, 3); d_scaling (A, 6); d_position (A, 3), None if not wanted.
+    d_offset (A, K, 3); d_scaling (A, 6).
     """
 
     d_output: DeviceArray
     d_offset: DeviceArray
     d_scaling: DeviceArray
-    d_position: DeviceArray | None
 
 
 def forward(
@@ -166,13 +165,12 @@ def backward(
     activations: Activations,
     anchors: DeviceAnchors,
     d_gaussians: GaussianGradients,
-    want_position: bool = False,
 ) -> NeuralGradients:
     """Scatter the gradients of N Gaussians to the anchors and the MLPs' outputs.
 
     ``gaussians`` is what :func:`forward` made of ``activations``, which has each anchor at most
-    once, and ``anchors``; ``d_gaussians`` has the gradients by its fields. ``d_position`` is
-    computed only if ``want_position``: anchors do not move while training.
+    once, and ``anchors``; ``d_gaussians`` has the gradients by its fields. There is
+    none by positions: anchors do not move while training.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
@@ -186,7 +184,6 @@ def backward(
         d_output=device.empty(output.shape),
         d_offset=device.zeros(anchors.offset.shape),
         d_scaling=device.zeros(anchors.scaling.shape),
-        d_position=device.zeros(anchors.position.shape) if want_position else None,
     )
     device.run(
         device.kernel("gaussian/neural", "neural_backward"),
@@ -205,17 +202,6 @@ def backward(
         d_offset=result.d_offset,
         d_scaling=result.d_scaling,
     )
-    if result.d_position is not None:
-        device.run(
-            device.kernel("gaussian/neural", "neural_backward_position"),
-            *by_items(len(visible)),
-            visible=visible,
-            first=gaussians.first,
-            count=np.int32(len(visible)),
-            capacity=np.int32(len(gaussians)),
-            d_mean=d_gaussians.d_mean,
-            d_position=result.d_position,
-        )
     return result
 
 

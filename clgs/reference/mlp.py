@@ -110,15 +110,12 @@ def forward(
 
 
 def backward(
-    activations: Activations,
-    position: Array,
-    weights: Array,
-    camera: npt.NDArray[np.floating],
-    d_output: Array,
-) -> tuple[Array, Array, Array]:
-    """d_weights (13710,), d_feature (A, F), d_position (A, 3); as ``clgs.ops.mlp.backward``.
+    activations: Activations, anchors: int, weights: Array, d_output: Array
+) -> tuple[Array, Array]:
+    """d_weights (13710,) and d_feature (A, F); as ``clgs.ops.mlp.backward``.
 
-    But for samples that do not count, every ``d_output`` counts, whether its slot is drawn or not.
+    ``anchors``: A. But for samples that do not count, every ``d_output`` counts, whether its slot
+    is drawn or not.
     """
     x, visible = activations.input, activations.visible
     good = x[INPUT_DIM] == 1
@@ -132,12 +129,7 @@ def backward(
         slot.hidden_weight[...] = d_z1 @ x[:INPUT_DIM].T
         slot.hidden_bias[...] = d_z1.sum(axis=1)
         d_x += head.hidden_weight.T @ d_z1
-    d_feature, d_position = np.zeros((len(position), INPUT_DIM - 3)), np.zeros_like(position)
+    d_feature = np.zeros((anchors, INPUT_DIM - 3))
     seen = visible >= 0
-    visible, d_x = visible[seen], d_x[:, seen]
-    d_feature[visible] = d_x[:-3].T
-    centre = np.asarray(camera[CENTRE], np.float64)
-    direction, distance = view_direction(position[visible], centre)
-    across = d_x[-3:].T - np.sum(d_x[-3:].T * direction, axis=1, keepdims=True) * direction
-    d_position[visible] = np.divide(across, distance, out=np.zeros_like(across), where=distance > 0)
-    return d_weights, d_feature, d_position
+    d_feature[visible[seen]] = d_x[:-3, seen].T
+    return d_weights, d_feature

@@ -99,8 +99,8 @@ def backward(
     offset: Array,
     scaling: Array,
     d_gaussians: GaussianGradients,
-) -> tuple[Array, Array, Array, Array]:
-    """d_output (110, V), d_offset (A, K, 3), d_scaling (A, 6), d_position (A, 3)."""
+) -> tuple[Array, Array, Array]:
+    """d_output (110, V), d_offset (A, K, 3) and d_scaling (A, 6)."""
     slot = gaussians.slot
     anchor, j = visible[slot // K_OFFSETS], slot % K_OFFSETS
     _, _, logits, quaternion = split(output)
@@ -116,10 +116,8 @@ def backward(
     d_opacity, d_color = np.zeros(len(d_covariance)), np.zeros((len(d_covariance), 3))
     d_opacity[slot], d_color[slot] = d_gaussians.d_opacity, d_gaussians.d_color
     d_offset, d_scaling = np.zeros_like(offset), np.zeros_like(scaling)
-    d_position = np.zeros((len(offset), 3))
     d_offset[anchor, j] = d_gaussians.d_mean * reach
     np.add.at(d_scaling[:, :3], anchor, d_gaussians.d_mean * reach * offset[anchor, j])
     np.add.at(d_scaling[:, 3:], anchor, d_log_scale)
-    np.add.at(d_position, anchor, d_gaussians.d_mean)
     d_scaling[~(np.abs(scaling) <= LOG_SCALE_LIMIT)] = 0
-    return join(d_opacity, d_color, d_covariance), d_offset, d_scaling, d_position
+    return join(d_opacity, d_color, d_covariance), d_offset, d_scaling

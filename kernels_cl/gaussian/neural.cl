@@ -2,7 +2,7 @@
  *
  * Work-item: VEC visible anchors, counted from the middle of the view on, with all their slots. The
  *     drawn slots are gathered one after the other, and arithmetic goes by lanes over them.
- *     neural_pad: a Gaussian; neural_backward_position: a visible anchor.
+ *     neural_pad: a Gaussian.
  * Work-group: any.
  * Launch: a work-item per VEC visible anchors, in neural_backward per VEC columns of output.
  *
@@ -275,22 +275,5 @@ __kernel void neural_backward(__global const float *output, __global const int *
     if (within) {
         const AnchorLanes a = load_anchors(visible, scaling, v, (size_t)count);
         write_scaling(&a, sum, d_scaling);
-    }
-}
-
-/* dL/d(position) of a visible anchor: the sum over its Gaussians. */
-__kernel void neural_backward_position(__global const int *visible, __global const int *first,
-                                       const int count, const int capacity,
-                                       __global const float *d_mean, __global float *d_position)
-{
-    const size_t v = get_global_id(0);
-    if (v >= (size_t)count || visible[v] < 0)
-        return;
-    const size_t end = min((size_t)first[v + 1], (size_t)capacity);
-    for (size_t i = 0; i < 3; ++i) {
-        float sum = 0.0f;
-        for (size_t n = (size_t)first[v]; n < end; ++n)
-            sum += d_mean[3 * n + i];
-        d_position[3 * (size_t)visible[v] + i] = sum;
     }
 }

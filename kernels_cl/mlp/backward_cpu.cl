@@ -52,7 +52,7 @@ static inline void add_weights(__global const float *values, const int head, con
 static inline void batch_backward(const Inputs *inputs, __global const float *weights,
                                   const Outputs *outputs, const int batch, const int samples,
                                   __global float *values, __global float *part,
-                                  const AnchorGradients *d)
+                                  __global float *d_feature)
 {
     const int blocks = (samples + BLOCK - 1) / BLOCK;
     int slots[BATCH / BLOCK + 1] = {0};
@@ -62,7 +62,7 @@ static inline void batch_backward(const Inputs *inputs, __global const float *we
     for (int head = 0; head < HEADS && blocks > 0; ++head) {
         for (int block = 0; block < blocks; ++block)
             block_backward(inputs, weights, outputs, head, (size_t)(batch * BATCH + block * BLOCK),
-                           slots[block], slots[block + 1], values + block * BLOCK, d);
+                           slots[block], slots[block + 1], values + block * BLOCK, d_feature);
         add_weights(values, head, slots, blocks, part);
     }
 }
@@ -75,14 +75,13 @@ __kernel void mlp_backward(__global const float *feature, __global const float *
                            const int padded, __global const float *output,
                            __global const float *d_output, __global const int *active,
                            __global int *next, __global float *values, __global float *partial,
-                           __global float *d_feature, __global float *d_position)
+                           __global float *d_feature)
 {
     const Inputs inputs = {feature, position, visible, (size_t)count, camera};
     const Outputs outputs = {output, d_output, (size_t)padded};
-    const AnchorGradients d = {d_feature, d_position};
     for (int part = atomic_inc(next); part < PARTS; part = atomic_inc(next))
         for (int batch = part; batch * BATCH < padded; batch += PARTS)
             batch_backward(&inputs, weights, &outputs, batch, active_samples(batch, padded, active),
                            values + get_global_id(0) * BATCH_SIZE,
-                           partial + (size_t)part * part_size(), &d);
+                           partial + (size_t)part * part_size(), d_feature);
 }

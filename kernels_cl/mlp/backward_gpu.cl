@@ -160,12 +160,12 @@ mlp_backward_layers(__global const float *feature, __global const float *positio
     head_backward(weights + head_start(head), &outputs, head, &group, columns);
 }
 
-/* Gradients by the anchors, from the gradients by hidden values in `values`. */
-LAYER_GROUP __kernel void
-mlp_backward_inputs(__global const float *position, __global const int *visible, const int count,
-                    __global const float *weights, __global const float *camera, const int padded,
-                    __global const int *active, const int first_batch, __global const float *values,
-                    __global float *d_feature, __global float *d_position)
+/* Gradients by the features, from the gradients by hidden values in `values`. */
+LAYER_GROUP __kernel void mlp_backward_inputs(__global const int *visible, const int count,
+                                              __global const float *weights, const int padded,
+                                              __global const int *active, const int first_batch,
+                                              __global const float *values,
+                                              __global float *d_feature)
 {
     __local float d_rows[(INPUT_DIM + 1) * ROW_PITCH] __attribute__((aligned(16)));
     __local float slice[SLICE_SIZE] __attribute__((aligned(16)));
@@ -176,35 +176,27 @@ mlp_backward_inputs(__global const float *position, __global const int *visible,
         return;
     const int item = (int)get_local_id(0);
     __global const float *columns = values + (size_t)(sample / BATCH) * BATCH_SIZE + sample % BATCH;
-    float d_x[UNITS(INPUT_DIM)][4]; /* unrolled by a pragma, PoCL's kernel takes twice as long */
-    for (int u = 0; u < UNITS(INPUT_DIM); ++u)
+    float d_x[UNITS(FEATURE_DIM)][4]; /* unrolled by a pragma, PoCL's kernel takes twice as long */
+    for (int u = 0; u < UNITS(FEATURE_DIM); ++u)
         fill_quad(d_x[u], 0.0f);
     for (int head = 0; head < HEADS; ++head) {
-        const LayerWeights back = {weights + head_start(head), INPUT_DIM, 1, INPUT_DIM, 0, 0};
+        const LayerWeights back = {weights + head_start(head), FEATURE_DIM, 1, INPUT_DIM, 0, 0};
         barrier(CLK_LOCAL_MEM_FENCE);
         for (int i = item; i < HIDDEN_DIM * SAMPLES; i += LAYER_ITEMS)
             d_rows[i / SAMPLES * ROW_PITCH + i % SAMPLES] =
                 columns[(D_HIDDEN_ROW(head) + i / SAMPLES) * BATCH_STRIDE + i % SAMPLES];
-        add_layer(d_x, UNITS(INPUT_DIM), &back, d_rows, HIDDEN_DIM, slice);
+        add_layer(d_x, UNITS(FEATURE_DIM), &back, d_rows, HIDDEN_DIM, slice);
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    store_quads(d_x, UNITS(INPUT_DIM), INPUT_DIM, d_rows);
+    store_quads(d_x, UNITS(FEATURE_DIM), FEATURE_DIM, d_rows);
     barrier(CLK_LOCAL_MEM_FENCE);
-    const Inputs inputs = {0, position, visible, (size_t)count, camera};
+    const Inputs inputs = {0, 0, visible, (size_t)count, 0};
     for (int i = item; i < samples * FEATURE_DIM; i += LAYER_ITEMS) {
         const int anchor = anchor_of(&inputs, first + (size_t)(i / FEATURE_DIM));
         if (anchor >= 0)
             d_feature[(size_t)anchor * FEATURE_DIM + (size_t)(i % FEATURE_DIM)] =
                 d_rows[i % FEATURE_DIM * ROW_PITCH + i / FEATURE_DIM];
     }
-#if WANT_POSITION
-    if (item < samples) {
-        float by_direction[3];
-        for (int i = 0; i < 3; ++i)
-            by_direction[i] = d_rows[(FEATURE_DIM + i) * ROW_PITCH + item];
-        position_backward(&inputs, first + (size_t)item, by_direction, d_position);
-    }
-#endif
 }
 
 /* Adds the gradient of a batch to its part of partial (parts, part_size()). */

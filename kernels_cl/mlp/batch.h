@@ -2,7 +2,7 @@
  *
  * Rows of BATCH_STRIDE numbers, one column per sample:
  *     inputs, and a row of ones (zero if a sample does not count),
- *     in the CPU form gradients by the inputs: by the features, then by the last TILE inputs,
+ *     in the CPU form gradients by the features,
  *     of a head hidden values, gradients by the sums of the hidden layer, and by those of the
  * output layer: of all heads in the GPU form, of one at a time in the CPU form. The latter is
  * little enough to stay in a CPU's cache, over whose sets the stride spreads the rows.
@@ -30,7 +30,7 @@
 #define HIDDEN_ROW(head) (D_INPUT_ROW + (head) * 2 * HIDDEN_DIM + first_output(head))
 #define BATCH_ROWS (D_INPUT_ROW + HEADS * 2 * HIDDEN_DIM + OUTPUT_ROWS)
 #else
-#define HIDDEN_ROW(head) (D_INPUT_ROW + FEATURE_DIM + TILE)
+#define HIDDEN_ROW(head) (D_INPUT_ROW + FEATURE_DIM)
 #define BATCH_ROWS (D_OUTPUT_ROW(0) + 7 * K_OFFSETS)
 #endif
 #define D_HIDDEN_ROW(head) (HIDDEN_ROW(head) + HIDDEN_DIM)

@@ -36,17 +36,15 @@ def run_forward(device, values, visible, options=DEFAULT):
     return mlp.forward(device, mlp_inputs(device, values), device.upload(visible), options)
 
 
-def run_backward(device, values, visible, d_of_anchor, want_position=True, options=DEFAULT):
+def run_backward(device, values, visible, d_of_anchor, options=DEFAULT):
     """Downloads of the gradients; d_of_anchor (A, 110) by the anchors' outputs."""
     activations = run_forward(device, values, visible, options)
     columns = device.download(activations.visible)
     d_output = np.full(activations.output.shape, 7, np.float32)
     d_output[:, : len(columns)] = np.where(columns >= 0, d_of_anchor[columns].T, 7)
     inputs, d_output = mlp_inputs(device, values), device.upload(d_output)
-    result = mlp.backward(device, inputs, activations, d_output, want_position)
-    names = ("d_weights", "d_feature", "d_position")
-    found = {name: getattr(result, name) for name in names}
-    return {name: device.download(array) for name, array in found.items() if array is not None}
+    result = mlp.backward(device, inputs, activations, d_output)
+    return {name: device.download(array) for name, array in vars(result).items()}
 
 
 def random_gradients(rng, anchors):
@@ -63,30 +61,22 @@ def expected_gradients(values, visible, d_of_anchor):
     activations = expected_activations(values, visible)
     d_output = np.where(drawn_rows(activations.output), d_of_anchor[visible].T, 0)
     d_output[:10] *= activations.output[:10] > 0
-    arguments = (wide["position"], wide["weights"], packed_camera(), d_output.astype(np.float64))
+    arguments = (len(d_of_anchor), wide["weights"], d_output.astype(np.float64))
     gradients = reference.backward(activations, *arguments)
-    return dict(zip(("d_weights", "d_feature", "d_position"), gradients, strict=True))
+    return dict(zip(("d_weights", "d_feature"), gradients, strict=True))
 
 
 def gradient_terms(values, visible, d_of_anchor):
     """Sums of absolute terms of every gradient: the backward pass of absolute values."""
-    wide = {name: value.astype(np.float64) for name, value in values.items()}
     forward = expected_activations(values, visible)
     # hidden values with the terms they were summed from; activations at their steepest
     hidden = np.where(forward.hidden > 0, term_sums(values, forward)[0], 0)
     steepest = np.where(np.arange(110)[:, None] < 10, 0, 0.5) + 0 * forward.output
     absolute = reference.Activations(np.abs(forward.input), hidden, steepest, visible)
-    arguments = (
-        wide["position"],
-        np.abs(wide["weights"]),
-        packed_camera(),
-        np.abs(d_of_anchor[visible].T),
-    )
-    d_weights, d_feature, _ = reference.backward(absolute, *arguments)
-    # a feature's gradient stands for those of the direction, which has the same fan-out
-    step, distance = reference.view_direction(wide["position"], packed_camera()[reference.CENTRE])
-    across = 4 * d_feature.max(axis=1, keepdims=True, initial=0) / distance
-    return {"d_weights": d_weights, "d_feature": d_feature, "d_position": across + 0 * step}
+    weights = np.abs(values["weights"].astype(np.float64))
+    arguments = (len(d_of_anchor), weights, np.abs(d_of_anchor[visible].T))
+    gradients = reference.backward(absolute, *arguments)
+    return dict(zip(("d_weights", "d_feature"), gradients, strict=True))
 
 
 def term_sums(values, activations):
@@ -159,16 +149,6 @@ def test_dealing_out_does_not_change_a_bit(device, rng, monkeypatch):
     parts = run_backward(device, values, visible, d_of_anchor)
     for name, array in whole.items():
         assert np.array_equal(array, parts[name]), name
-
-
-def test_position_gradient_only_where_wanted(device, rng):
-    values, visible = anchors(rng, 200), some(rng, 100, 200)
-    d_of_anchor = random_gradients(rng, 200)
-    with_position = run_backward(device, values, visible, d_of_anchor)
-    without = run_backward(device, values, visible, d_of_anchor, want_position=False)
-    assert set(with_position) - set(without) == {"d_position"}
-    assert np.array_equal(with_position["d_weights"], without["d_weights"])
-    assert np.array_equal(with_position["d_feature"], without["d_feature"])
 
 
 SKIPS = [
@@ -301,7 +281,6 @@ def test_camera_centre_has_no_direction(device, rng):
     rows = drawn_rows(expected.output)
     assert_close(output[rows], expected.output[rows], limit[rows], "output")
     gradients = run_backward(device, values, visible, random_gradients(rng, 8))
-    assert not gradients["d_position"][3].any()
     assert all(np.isfinite(array).all() for array in gradients.values())
 
 

@@ -48,19 +48,17 @@ def counted(values):
     return drawn
 
 
-def run_backward(device, values, d_gaussians, want_position=True):
+def run_backward(device, values, d_gaussians):
     inputs = upload(device, values)
     gaussians = neural.forward(device, *inputs)
     given = neural.GaussianGradients(**{n: device.upload(v) for n, v in d_gaussians.items()})
-    result = neural.backward(device, gaussians, *inputs, given, want_position)
+    result = neural.backward(device, gaussians, *inputs, given)
     return downloaded(device, values, result)
 
 
 def downloaded(device, values, gradients):
     """Host copies, with zeros where d_output does not count."""
-    names = ("d_output", "d_offset", "d_scaling", "d_position")
-    arrays = {name: getattr(gradients, name) for name in names}
-    found = {name: device.download(array) for name, array in arrays.items() if array is not None}
+    found = {name: device.download(array) for name, array in vars(gradients).items()}
     found["d_output"] = np.where(counted(values), found["d_output"], np.float32(0))
     return found
 
@@ -71,7 +69,7 @@ def expected_backward(values, d_gaussians):
     del wide["position"]
     given = reference.GaussianGradients(**widen(d_gaussians))
     result = reference.backward(gaussians, **wide, d_gaussians=given)
-    return dict(zip(("d_output", "d_offset", "d_scaling", "d_position"), result, strict=True))
+    return dict(zip(("d_output", "d_offset", "d_scaling"), result, strict=True))
 
 
 def output_terms(values, d_gaussians):
@@ -122,20 +120,10 @@ def test_backward_agrees_with_reference(device, rng, counts):
     plain = {name: np.abs(value) for name, value in d_gaussians.items()}
     terms = expected_backward({**values, "offset": np.abs(values["offset"])}, plain)
     # products of four rounded factors, 1.7 epsilon of an exponential, up to ten terms in a row
-    for name in ("d_offset", "d_scaling", "d_position"):
+    for name in ("d_offset", "d_scaling"):
         assert_close(actual[name], expected[name], 6 * EPSILON * terms[name], name)
     limit = 12 * EPSILON * output_terms(values, plain)
     assert_close(actual["d_output"], expected["d_output"], limit, "d_output")
-
-
-def test_position_gradient_only_where_wanted(device, rng):
-    values = case(rng, 50, 60)
-    d_gaussians = gradients(rng, int(np.sum(values["output"][:10] > 0)))
-    with_position = run_backward(device, values, d_gaussians)
-    without = run_backward(device, values, d_gaussians, want_position=False)
-    assert set(with_position) - set(without) == {"d_position"}
-    for name, array in without.items():
-        assert np.array_equal(array, with_position[name]), name
 
 
 @pytest.mark.parametrize("opacity", [-1.0, -0.0, np.nan])
@@ -215,7 +203,7 @@ def test_poison_stays_in_its_anchor(device, rng, slot, poison):
     assert np.array_equal(
         found["d_output"][:, :65][:, rest], clean_gradients["d_output"][:, :65][:, rest]
     )
-    for name in ("d_offset", "d_scaling", "d_position"):
+    for name in ("d_offset", "d_scaling"):
         assert np.array_equal(found[name][rest], clean_gradients[name][rest]), name
     # culled by projection, its gradients are zero, and zero they stay
     for array in d_gaussians.values():
@@ -297,7 +285,7 @@ def test_padding_changes_no_bit(device, rng, spare):
     for name, array in d_gaussians.items():
         wide[name][:count] = array
     given = neural.GaussianGradients(**{n: device.upload(v) for n, v in wide.items()})
-    result = neural.backward(device, padded, *inputs, given, want_position=True)
+    result = neural.backward(device, padded, *inputs, given)
     found = downloaded(device, values, result)
     for name, array in wanted.items():
         assert np.array_equal(found[name], array), name

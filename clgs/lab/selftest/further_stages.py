@@ -24,7 +24,6 @@ from clgs.ops import (
     exposure,
     growth,
     mask,
-    neural,
     project,
     quantize,
     tiles,
@@ -159,14 +158,6 @@ def room_tensors(device: Device, one: ConformanceScene) -> Iterator[Tensor]:
     yield from named(device, "project anchors", fused.projected, *vars(fused.projected))
     unculled = rasterise(device, scene, view, RenderOptions(skips=Skips(anchors=False)))
     yield "cull", "every", device.download(unculled.activations.visible)
-    gaussians, random = frame.gaussians, ExactRandom(4)
-    names = "mean", "scale", "rotation", "color", "opacity"
-    shapes = (getattr(gaussians, name).shape for name in names)
-    given = (device.upload(random.floats(shape, -1.0, 1.0)) for shape in shapes)
-    by_means = neural.GaussianGradients(*given)
-    made = neural.backward(device, gaussians, frame.activations, scene.anchors, by_means, True)
-    assert made.d_position is not None
-    yield "position", "d_position", device.download(made.d_position)
     size, projected = view.size, frame.projected
     by_row = tiles.count_by_row(device, projected, size, DEFAULT)
     yield "tiles", "by_row", by_row

@@ -116,7 +116,7 @@ def backward_reference(frame: ReferenceFrame, d_image: Array, volume_weight: flo
     d_gaussians = neural.GaussianGradients(
         d_mean, d_scale, d_rotation, splats.d_color, splats.d_opacity
     )
-    d_output, d_offset, d_scaling, _ = neural.backward(
+    d_output, d_offset, d_scaling = neural.backward(
         frame.gaussians,
         frame.activations.output,
         frame.activations.visible,
@@ -124,8 +124,8 @@ def backward_reference(frame: ReferenceFrame, d_image: Array, volume_weight: flo
         frame.scene["scaling"],
         d_gaussians,
     )
-    d_weights, d_feature, _ = mlp.backward(
-        frame.activations, frame.scene["position"], frame.scene["weights"], frame.camera, d_output
+    d_weights, d_feature = mlp.backward(
+        frame.activations, len(frame.scene["feature"]), frame.scene["weights"], d_output
     )
     return {
         "d_offset": d_offset,

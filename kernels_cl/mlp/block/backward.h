@@ -84,11 +84,11 @@ static inline void hidden_backward(__global const float *weight, const int head,
     }
 }
 
-/* Adds one head's dL/d(input) to the block's columns of the batch; the first head sets them. */
+/* Adds one head's dL/d(feature) to the block's columns of the batch; the first head sets them. */
 static inline void input_backward(__global const float *weight, const int head,
                                   const float *d_hidden, __global float *column)
 {
-    for (int k = 0; k < FEATURE_DIM + (WANT_POSITION ? TILE : 0); k += TILE) {
+    for (int k = 0; k < FEATURE_DIM; k += TILE) {
         __global float *d_input = column + (D_INPUT_ROW + k) * BATCH_STRIDE;
         fv sum[TILE][VECTORS];
 #pragma unroll
@@ -96,8 +96,7 @@ static inline void input_backward(__global const float *weight, const int head,
 #pragma unroll
             for (int s = 0; s < VECTORS; ++s)
                 sum[o][s] = head == 0 ? (fv)(0.0f) : LOAD_ALIGNED(s, d_input + o * BATCH_STRIDE);
-        add_columns(sum, weight + (k < FEATURE_DIM ? k : INPUT_DIM - TILE), INPUT_DIM, 0,
-                    HIDDEN_DIM, d_hidden);
+        add_columns(sum, weight + k, INPUT_DIM, 0, HIDDEN_DIM, d_hidden);
 #pragma unroll
         for (int o = 0; o < TILE; ++o)
 #pragma unroll
@@ -106,16 +105,16 @@ static inline void input_backward(__global const float *weight, const int head,
     }
 }
 
-/* Writes the gradients by the block's anchors, from its columns of the batch. */
+/* Writes the gradients by the features of the block's anchors, from its columns of the batch. */
 static inline void anchors_backward(const Inputs *inputs, const size_t first,
-                                    __global const float *column, const AnchorGradients *d)
+                                    __global const float *column, __global float *d_feature)
 {
     __global const float *d_input = column + D_INPUT_ROW * BATCH_STRIDE;
     for (size_t s = 0; s < VECTORS; ++s) {
         __global float *rows[VEC];
         for (size_t lane = 0; lane < VEC; ++lane) {
             const int anchor = anchor_of(inputs, first + s * VEC + lane);
-            rows[lane] = anchor < 0 ? 0 : d->d_feature + (size_t)anchor * FEATURE_DIM;
+            rows[lane] = anchor < 0 ? 0 : d_feature + (size_t)anchor * FEATURE_DIM;
         }
         size_t k = 0;
         for (; k + 4 <= FEATURE_DIM; k += 4) {
@@ -130,15 +129,6 @@ static inline void anchors_backward(const Inputs *inputs, const size_t first,
                 if (rows[lane])
                     rows[lane][k] = d_input[k * BATCH_STRIDE + s * VEC + lane];
     }
-#if WANT_POSITION
-    __global const float *d_direction = d_input + (FEATURE_DIM + TILE - 3) * BATCH_STRIDE;
-    for (size_t s = 0; s < VECTORS; ++s) {
-        fv by_direction[3];
-        for (size_t i = 0; i < 3; ++i)
-            by_direction[i] = LOAD_ALIGNED(s, d_direction + i * BATCH_STRIDE);
-        position_backward(inputs, first + s * VEC, by_direction, d->d_position);
-    }
-#endif
 }
 
 /* Both layers of one head for the block at sample `first`, whose columns of the batch get what the
@@ -148,7 +138,7 @@ static inline void anchors_backward(const Inputs *inputs, const size_t first,
 static inline OWN_FUNCTION void block_backward(const Inputs *inputs, __global const float *weights,
                                                const Outputs *outputs, const int head,
                                                const size_t first, const int slots, const int next,
-                                               __global float *column, const AnchorGradients *d)
+                                               __global float *column, __global float *d_feature)
 {
     __global const float *weight = weights + head_start(head);
     float x[(INPUT_DIM + 1) * BLOCK], hidden[HIDDEN_DIM * BLOCK], d_hidden[HIDDEN_DIM * BLOCK];
@@ -167,7 +157,7 @@ static inline OWN_FUNCTION void block_backward(const Inputs *inputs, __global co
     hidden_backward(weight, head, slots, hidden, d_sum, d_hidden, column);
     input_backward(weight, head, d_hidden, column);
     if (head == HEADS - 1)
-        anchors_backward(inputs, first, column, d);
+        anchors_backward(inputs, first, column, d_feature);
 }
 
 #endif
