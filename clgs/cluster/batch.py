@@ -8,7 +8,7 @@ from pathlib import Path
 from clgs.cluster.engine import Message, connected, require_distributed, run_tasks
 from clgs.cluster.table import read_scenes
 from clgs.cluster.worker import Reporter, Row, Task, Tell, forget_peak_memory
-from clgs.files import check_folder
+from clgs.files import make_folder
 from clgs.train.config import layered
 from clgs.workflow.events import Event, Note, TrainingProgress
 from clgs.workflow.train import train
@@ -46,7 +46,7 @@ def train_scenes(
     """
     require_distributed()
     tasks = read_scenes(table, output)
-    check_folder(output)
+    make_folder(output)
     with connected(workers, scheduler) as client:
         return run_tasks(
             client, train_one, tasks, output / "kernels", on_row, on_message, device=device

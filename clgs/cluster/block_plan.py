@@ -328,7 +328,7 @@ def make_plan(
         share = f"{100 * LEAST_CONTRIBUTION:g} %"
         raise UsageError(
             f"--blocks: block {empty[0]} has no camera, as it is below {share} of every photo; "
-            "give fewer blocks"
+            "give fewer blocks, with --resume"
         )
     for number, name in enumerate(names):
         kept = seen.shown(members[:, number], len(position))

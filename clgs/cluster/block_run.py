@@ -41,6 +41,7 @@ from clgs.cluster.engine import (
 )
 from clgs.cluster.worker import Task, Tell, forget_peak_memory, opened_device
 from clgs.codec.scene_encoder import sort_anchors
+from clgs.constants import LEAST_CONTRIBUTION
 from clgs.data.dataset import load_dataset
 from clgs.data.origin import repose
 from clgs.errors import ClgsError, DataError, UsageError
@@ -151,7 +152,7 @@ def train_in_blocks(
             raise UsageError(f"--blocks: {folder} was begun with {there}; give that, or auto")
     memory = _memory_of_a_worker(folder, workers, scheduler, device)
     return_freed_memory()
-    config, width = _resolved(data, config)
+    config, width = _resolved(data, config, counts)
     opened = opened_device(device)
     make_folder(folder)
     lock = FolderLock(folder)
@@ -232,8 +233,13 @@ def _memory_of_a_worker(
     return None if free is None else free // (workers or 1)
 
 
-def _resolved(data: Path, config: TrainConfig) -> tuple[TrainConfig, int]:
-    """The settings for the data set, and the width of its widest photo in pixels; none is read."""
+def _resolved(
+    data: Path, config: TrainConfig, counts: tuple[int, int] | None
+) -> tuple[TrainConfig, int]:
+    """The settings for the data set, and the width of its widest photo in pixels; none is read.
+
+    ``counts``: of rows and columns of blocks, None if they are not known yet.
+    """
     outline = load_dataset(
         *(data,),
         downscale=config.downscale,
@@ -244,6 +250,10 @@ def _resolved(data: Path, config: TrainConfig) -> tuple[TrainConfig, int]:
     )
     if not outline.train:
         raise DataError("the dataset has no training views; check the folder of images")
+    most = int(len(outline.train) / LEAST_CONTRIBUTION)  # a photo is in no more blocks than that
+    if counts is not None and counts[0] * counts[1] > most:
+        photos = len(outline.train)
+        raise UsageError(f"--blocks: {photos} photos have parts of at most {most}; give fewer")
     width = max(view.camera.width for view in outline.train)
     return config.for_dataset(outline.kind), width
 
@@ -295,7 +305,7 @@ def _follow(tasks: list[Task], on_event: OnEvent) -> Tell:
     def follow(message: Message) -> None:
         name = message["run"]
         done[name] = max(done[name], message["step"] - begun[name])
-        on_event(StageProgress("blocks", sum(done.values()), total))
+        on_event(StageProgress("steps of all blocks", sum(done.values()), total))
 
     return follow
 

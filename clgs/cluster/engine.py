@@ -61,7 +61,7 @@ def connected(workers: int, scheduler: str | None) -> Iterator[Client]:
 
     for name in ("distributed", "distributed.client"):  # dask gives each a level
         logging.getLogger(name).setLevel(QUIET)
-    if scheduler:
+    if scheduler is not None:
         _check_address(scheduler)
         try:
             client = Client(scheduler, timeout=CONNECT_SECONDS)

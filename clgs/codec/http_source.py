@@ -6,7 +6,7 @@ import http.client
 import re
 import threading
 from collections.abc import Iterator
-from urllib.parse import urlsplit
+from urllib.parse import quote, urlsplit
 
 from clgs.errors import DataError
 
@@ -19,7 +19,14 @@ PIECE = 1 << 20
 SECONDS = 30.0
 """How long a server may say nothing."""
 
+MOST_SHOWN = 200
+"""Characters of another address that are shown."""
+
 _RANGE = re.compile(r"bytes (\d{1,18})-(\d{1,18})/(\d{1,18})", re.IGNORECASE)
+
+_AS_IT_IS = "!#$%&'()*+,/:;=?@[]~"
+"""What stands in addresses for itself; all else, such as blanks and letters of other alphabets, is
+written in percent."""
 
 _DOWNLOAD = "download the file and read its bytes"
 
@@ -47,7 +54,8 @@ class HttpSource:
         if parts.scheme not in ("http", "https") or not host:
             raise DataError(f"{url}: no http or https address; name one, or read the file's bytes")
         self._url = url
-        self._target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
+        target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
+        self._target = quote(target, safe=_AS_IT_IS, errors="replace")
         self._turn = threading.Lock()
         self.bytes_read, self.size = 0, 0
         self._front = memoryview(self._request(0, FRONT))
@@ -81,7 +89,9 @@ class HttpSource:
         except (OSError, http.client.HTTPException, ValueError) as error:
             self.close()
             problem = " ".join(str(error).split()) or type(error).__name__
-            raise DataError(f"{self._url}: not read ({problem}); look at the address") from None
+            raise DataError(
+                f"{self._url}: not read ({problem}); look at the address, or try again"
+            ) from None
         if more:
             self.close()
             raise DataError(f"{self._url}: {_OTHER_LENGTH}")
@@ -126,9 +136,11 @@ def _refusal(answer: http.client.HTTPResponse) -> str:
     if answer.status == 200:
         return f"the server ignores ranges; {_DOWNLOAD}"
     if 300 <= answer.status < 400:
-        return "the file has moved; name the address that it has now"
+        place = " ".join(answer.headers.get("Location", "another place").split())[:MOST_SHOWN]
+        return f"the file has moved to {place}; name that address"
     if answer.status != 206:
-        return f"the server says {answer.status}; look at the address"
+        remedy = "try again" if answer.status >= 500 else "look at the address"
+        return f"the server says {answer.status}; {remedy}"
     if answer.headers.get("Content-Range", "").endswith("/*"):
         return f"the server does not say how long the file is; {_DOWNLOAD}"
     return ""

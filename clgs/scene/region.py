@@ -15,13 +15,15 @@ class Box:
     """lower <= x < upper on every axis; ends may be infinite. Units are those of the points.
 
     Raises:
-        UsageError: an end is not a number, or a lower end is not below the upper one.
+        UsageError: not three ends each, one is not a number, or a lower is not below its upper.
     """
 
     lower: tuple[float, float, float]
     upper: tuple[float, float, float]
 
     def __post_init__(self) -> None:
+        if not len(self.lower) == len(self.upper) == 3:
+            raise UsageError("box: give three lower and three upper ends")
         for axis, low, high in zip("xyz", self.lower, self.upper, strict=True):
             if not low < high:
                 raise UsageError(f"box: {axis} from {low:g} to {high:g} is empty; lower end first")

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
+from urllib.parse import urlsplit
 
 import numpy as np
 import numpy.typing as npt
@@ -320,7 +321,7 @@ def export_link(
         overwrite: whether ``output`` may be replaced.
 
     Raises:
-        UsageError: ``output`` is no .html file, or ``link`` is empty.
+        UsageError: ``output`` is no .html file, or ``link`` nothing that it can read.
         ExistsError: ``output`` exists, and ``overwrite`` is false.
         DataError: ``source`` or the data set is missing or damaged.
     """
@@ -329,6 +330,9 @@ def export_link(
         raise UsageError(f"{output}: only a page has a link to its scene; name an .html file")
     if not link:
         raise UsageError("link: is empty; name the .clgs file as seen from the page")
+    if "\\" in link or urlsplit(link).scheme not in ("", "http", "https"):
+        remedy = "give http(s)://..., or the way there from the page, with /"
+        raise UsageError(f"link: a page cannot read {link}; {remedy}")
     check_new(output, overwrite)
     return _page(
         None if source is None else as_path("source", source),

@@ -82,6 +82,7 @@ def test_no_scheduler_is_one_line(table, tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("address", "settings", "said"),
     [
+        ("", {}, "is no address"),
         ("tcp://127.0.0.1:0", {}, "is no address (no host, or the port 0); give tcp://HOST:PORT"),
         ("tcp://127.0.0.1:70000", {}, "is no address (no host, or the port 70000); give "),
         ("127.0.0.1:-1", {}, "is no address (no host, or the port -1); give "),

@@ -69,6 +69,10 @@ def test_what_cannot_be_names_its_place(read, tmp_path, text, message):
     assert str(refused.value).startswith(f"{tmp_path / 'table.toml'}: {message}")
 
 
+def test_a_byte_order_mark_is_no_part_of_a_table(read):
+    assert read("\ufeff" + TABLE) == read(TABLE)
+
+
 def test_a_table_that_is_not_there_is_named(tmp_path):
     with pytest.raises(UsageError, match=r"absent\.toml: No such file or directory; name a table"):
         read_scenes(tmp_path / "absent.toml", tmp_path)

@@ -148,6 +148,8 @@ def test_a_page_with_a_link_holds_no_scene(decoder, data, tmp_path, capsys):
     [
         (["-o", "a.ply", "--link", "x"], "a.ply: only a page has a link"),
         (["-o", "a.html", "--link", ""], "link: is empty"),
+        (["-o", "a.html", "--link", "file:///a/x.clgs"], "a page cannot read file:///a/x.clgs; "),
+        (["-o", "a.html", "--link", r"C:\a\x.clgs"], r"a page cannot read C:\a\x.clgs; give http"),
         (["-o", "a.html", "--link", "x", "--steps", "3"], "--steps: has no effect with --link"),
     ],
 )

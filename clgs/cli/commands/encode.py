@@ -47,7 +47,7 @@ Below 256, max is no smaller than default, and paper grows by a quarter (64).
 coarser scene, the first one of several with about a tenth of the bytes. Anchors come in the order
 of their importance: opacity times area in training views (--data, or the data set that RUN names),
 or else from all around. The last of 3 layers or more, about 40 % of the bytes, adds the precision
-of all anchors: before it, they have a third of it. 4 layers cost 0.3 to 2.9 % of the bytes at level
+of all anchors: before it, they have a third of it. 4 layers cost 1.5 to 3.7 % of the bytes at level
 default, 4 to 8 % at the other levels. To meet a target too, encode to the target first, and that
 file in layers.
 --data alone: the file learns of its photos, as those of older versions have not, so that it is

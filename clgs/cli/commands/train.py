@@ -79,7 +79,7 @@ def register(parser: argparse.ArgumentParser) -> None:
         metavar="NxM",
         help="train the scene in N x M blocks that start from a coarse scene, learn one after the "
         "other or on --workers or --scheduler, and are merged; auto: as few as the memory of a "
-        "worker allows",
+        "worker allows, two at least",
     )
     add_cluster(
         parser, "processes on this machine that train blocks (default: this one does)", None

@@ -135,7 +135,7 @@ def read_settings(path: Path) -> dict[str, Any]:
             content = file.read(MAX_BYTES + 1)
         if len(content) > MAX_BYTES:
             raise UsageError(f"{path}: has more than {MAX_BYTES} bytes; name a file of settings")
-        return parse_settings(content.decode("utf-8"), str(path))
+        return parse_settings(content.decode("utf-8-sig"), str(path))
     except UnicodeDecodeError:
         raise UsageError(f"{path}: is not UTF-8 text; name a TOML file of settings") from None
     except OSError as error:

@@ -133,3 +133,8 @@ def test_a_file_that_is_cut_meanwhile(file):
 def test_boxes_that_are_none(lower, upper):
     with pytest.raises(UsageError, match=r"^box: [xyz] from .* lower end first"):
         Box(lower, upper)
+
+
+def test_a_box_has_three_ends_on_each_side():
+    with pytest.raises(UsageError, match="box: give three lower and three upper ends"):
+        Box((0.0, 0.0), (1.0, 1.0))

@@ -44,12 +44,18 @@ def test_a_file_that_is_cut_at_the_server_is_a_coarser_scene(data):
         assert_same(decode(url + "s.clgs"), decode(data, layers=2))
 
 
+def test_addresses_may_have_blanks_and_letters_of_all_alphabets(data):
+    with serve({"%C3%BC%20b%20.clgs?x=%C3%BC": data}) as url:
+        for address in ("ü b .clgs?x=ü", "%C3%BC%20b%20.clgs?x=%C3%BC"):
+            assert_same(decode(url + address), decode(data))
+
+
 def test_servers_and_addresses_that_do_not_serve(data):
     with serve({"s.clgs": data}, ranges=False) as url:
         for name, said in (
             ("s.clgs", "the server ignores ranges; download the file"),
             ("none.clgs", "the server says 404"),
-            ("moved", "the file has moved"),
+            ("moved", "the file has moved to file:///etc/passwd; name that address"),
         ):
             with pytest.raises(DataError, match=said) as error:
                 decode(url + name)
