@@ -1,4 +1,6 @@
-"""Positions and attributes as bytes of their own, without a scene (codec_c/FORMAT.md on arrays).
+"""Arrays of positions, and of attributes, to bytes and back, each on its own, outside of any file.
+
+The code is that of .clgs files (codec_c/FORMAT.md on arrays).
 
 Positions whose differences share a factor on some axis are divided by it first, as each level of
 an octree costs bits: q = c + (p - c) / f on each axis, with c the least p.

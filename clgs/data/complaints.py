@@ -1,6 +1,6 @@
 """Warnings about the photos of a data set, before they are read.
 
-Cameras that are far from the others are among them: most often their poses are wrong.
+Among other things they name cameras that are far from all others: most often their poses are wrong.
 """
 
 from __future__ import annotations
@@ -21,12 +21,13 @@ LEAST = 5
 """Fewer cameras do not show what is usual."""
 
 APART, ASTRAY = 5.0, 20.0
-"""Multiples of the median distance from the middle of all cameras. Beyond the first a camera is
-worth a look; beyond the second no capture has cameras.
+"""Multiples of the median distance from the middle of all cameras. A camera beyond
+the first is worth a look; one beyond the second has a wrong pose.
 """
 
 ALONE = 0.5
-"""A lonely camera is at least this times its distance from the middle away from all others."""
+"""A camera is lonely if it is at least this share of its distance from the middle away from all
+others."""
 
 
 def spread(centres: Floats) -> tuple[Floats, float]:

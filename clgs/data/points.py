@@ -274,7 +274,7 @@ def read_points(path: Path, samples: int, kind: str, seed: int, frame: int = LOC
     Args:
         path: its suffix, one of SUFFIXES, names the format.
         samples: points that are drawn on the surfaces, if the file has any.
-        kind: of the data set: "blender", "transforms" or "colmap".
+        kind: of the data set: "blender", "transforms", "colmap", or the program that made it.
         seed: of the samples.
         frame: of the data set's world, as of SceneTransform.
 

@@ -1,4 +1,5 @@
-/* Slots of a block of samples: which are drawn, which are computed, and their output rows. */
+/* Slots of a block of samples: which are drawn, which are computed, and which rows of the outputs
+ * (mlp/layout.h) they have. */
 #ifndef CLGS_MLP_SLOTS_H
 #define CLGS_MLP_SLOTS_H
 

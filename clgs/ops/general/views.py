@@ -3,8 +3,7 @@
 As ``clgs.ops.project``, and more general: shapes are unnormalised quaternions with scales, or
 covariances; the camera's 3x4 matrix need not be a rotation; rays may be parallel, or those of an
 equidistant fisheye; blur, far plane and smallest radius are arguments; opacities can make up for
-the blur, with a gradient. Trainers with one kind of camera
-keep the faster stage.
+the blur, with a gradient. Trainers with one kind of camera keep the faster stage.
 
 Sources: 3DGS (EWA splatting, Zwicker et al. 2001); Mip-Splatting (Yu et al. 2024) for the
 opacities; gradients by the camera are our own.

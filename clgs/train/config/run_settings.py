@@ -151,7 +151,7 @@ class RunSettings:
         True, "recentre the scene and scale it to a camera radius of 4.4; the paper keeps the units"
     )
     coarse_to_fine: bool = option(
-        False, "train on photos of half the size in the first third of the steps"
+        False, "train on photos of half the size for the first 0.35 of the steps"
     )
     points: str = option(
         "",

@@ -3,8 +3,9 @@
 Sources: "paper" is Voxel-GS (arXiv 2512.17528); "code" is its public reference implementation,
 whose training settings are those of Scaffold-GS. Steps count from 1.
 
-To add a setting, declare it here by :func:`clgs.train.config.option.option`: the command line, the
-TOML file and the documentation follow.
+To add a setting, declare it by :func:`clgs.train.config.option.option`, here or, if it is about
+photos, start and learning rates, in ``run_settings``: the command line, the TOML file and the
+documentation follow.
 """
 
 from __future__ import annotations

@@ -138,12 +138,12 @@ def hand_out(
 class Batch:
     """The looks of a step, in the order of its views.
 
-    losses, totals, partials and seen: of each, as of :class:`Look`; seen has those that statistics
-    take; kept: the looks that were had on other devices.
+    losses, totals, partials and seen: of each, as of :class:`Look`; seen: none if no
+    statistics are taken; kept: the looks of other devices.
     """
 
     def __init__(self, device: Device, views: int) -> None:
-        """Nothing of ``views`` looks yet."""
+        """No view has been looked at yet; there will be ``views`` of them."""
         self._device, self._views = device, views
         self._gradients: SceneGradients | None = None
         self.losses: list[LaterValue] = []

@@ -8,7 +8,7 @@ from dataclasses import fields
 from clgs.options import PRESETS
 from clgs.train.config import TrainConfig
 
-COARSE_STAGES = ((0.35, 2),)
+REDUCED_SHARE, REDUCED_BY = 0.35, 2
 """Coarse to fine: up to this share of the steps, photos are reduced this many times."""
 
 OF_ONE_PHOTO = {"exposure"}
@@ -41,8 +41,7 @@ def reduction(config: TrainConfig, step: int) -> int:
     smallest = PRESETS[config.accuracy].downscale
     if not config.coarse_to_fine:
         return smallest
-    stages = (factor for share, factor in COARSE_STAGES if step <= share * config.steps)
-    return max(next(stages, 1), smallest)
+    return max(REDUCED_BY, smallest) if step <= REDUCED_SHARE * config.steps else smallest
 
 
 def log_linear(first: float, last: float, progress: float) -> float:

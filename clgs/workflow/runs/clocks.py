@@ -37,7 +37,7 @@ from clgs.scene.scene import SceneTransform
 from clgs.train.config import preset
 from clgs.train.run.load import load_for
 from clgs.train.run.trainer import Trainer
-from clgs.train.step.schedule import COARSE_STAGES
+from clgs.train.step.schedule import REDUCED_BY
 from clgs.workflow.events import Event, Note, OnEvent, StageProgress
 from clgs.workflow.runs.plan import (
     PRODUCT_SECONDS,
@@ -115,9 +115,9 @@ def speed_on(
     trainer = Trainer(device, dataset, config)
     start, steps = trainer.parameters.count, EPOCHS * len(views)
     coarse = Trainer(device, dataset, replace(config, coarse_to_fine=True))
-    pixels, ((_, factor),) = photos.at(width), COARSE_STAGES
+    pixels = photos.at(width)
     found = fit_speed(
-        (pixels // factor**2, _step_seconds(coarse, steps + WARM_UP, steps)),
+        (pixels // REDUCED_BY**2, _step_seconds(coarse, steps + WARM_UP, steps)),
         (pixels, _step_seconds(trainer, steps + WARM_UP, steps)),
     )
     if start >= GROWN:

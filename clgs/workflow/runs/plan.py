@@ -11,7 +11,7 @@ from clgs.poses.stages.features import FINEST_SIZE, MAX_FEATURES, QUICK_FEATURES
 from clgs.poses.stages.mapping import MANY
 from clgs.poses.stages.matching import FIRST_FEATURES, MAX_FULL
 from clgs.poses.stages.pairs import MAX_EXHAUSTIVE
-from clgs.train.step.schedule import COARSE_STAGES
+from clgs.train.step.schedule import REDUCED_BY, REDUCED_SHARE
 
 DEFAULT_SECONDS = 600.0
 """The time for everything, unless the user says otherwise."""
@@ -340,10 +340,10 @@ class _Pace:
 
     def __init__(self, photos: Photos, speed: StepSpeed, width: int) -> None:
         pixels = photos.at(width)
-        ((share, factor),) = COARSE_STAGES
         self._large = pixels >= LARGE_PIXELS and not photos.synthetic
         self._step = speed.step(pixels)
-        self._coarse_step = share * speed.step(pixels // factor**2) + (1 - share) * self._step
+        reduced = speed.step(pixels // REDUCED_BY**2)
+        self._coarse_step = REDUCED_SHARE * reduced + (1 - REDUCED_SHARE) * self._step
         self.later = LATER_SECONDS + LATER_STEPS * self._step
         """Seconds of all that follows training."""
 
