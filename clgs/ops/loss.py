@@ -18,52 +18,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from clgs import constants
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
+from clgs.opencl.grid import by_lanes
 from clgs.opencl.transfer import Download
 from clgs.shapes import Shapes
-
-
-@dataclass(frozen=True)
-class BlockSums:
-    """Float32 sums (blocks, columns), one row per block, and the ``count`` of values in a column.
-
-    The count may be on the device, (1,) of an integer type.
-
-    Nothing waits for the device until :meth:`mean` is called, so that a step can enqueue all its
-    work first. The blocks are added in float64 and in order: same bits in every run.
-    """
-
-    partials: DeviceArray
-    count: int | DeviceArray
-
-    def mean(self, device: Device) -> npt.NDArray[np.float64]:
-        """(columns,) float64: the sum of every column divided by ``count``; 0 of nothing."""
-        return self.mean_later(device).get()
-
-    def mean_later(self, device: Device) -> LaterMean:
-        """Begin :meth:`mean`; only ``LaterMean.get`` waits."""
-        count = self.count
-        later = count if isinstance(count, int) else device.download_later(count)
-        return LaterMean(device.download_later(self.partials), later)
-
-
-@dataclass(frozen=True)
-class LaterMean:
-    """The means of :class:`BlockSums`, on their way to the host."""
-
-    partials: Download
-    count: int | Download
-
-    def get(self) -> npt.NDArray[np.float64]:
-        """(columns,) float64; waits until they are there."""
-        count = self.count if isinstance(self.count, int) else int(self.count.get()[0])
-        total = self.partials.get().sum(axis=0, dtype=np.float64)
-        return np.asarray(total / max(count, 1), np.float64)
-
 
 PATCH_COLUMNS = 16
 PATCH_ROWS = 32
@@ -71,9 +32,6 @@ PATCH_ROWS = 32
 
 ITEMS = {"cpu": 1, "gpu": 256}
 """Work-items of a group, which owns a patch or a block."""
-
-VOLUME_BLOCK = 256
-"""Gaussians whose volumes a work-group sums."""
 
 
 @dataclass(frozen=True)
@@ -97,35 +55,39 @@ class LossValue:
 class Loss:
     """What the forward pass leaves on the device, float32.
 
-    sums: per patch the sums of |x - y| and of 1 - SSIM; shift (patches, 2): the level about which
+    sums (patches, 2): those of |x - y| and of 1 - SSIM; shift (patches, 2): the level about which
     the moments of image and target were taken; maps: three of (3, H, W), see
     kernels_cl/loss/forward.cl.
     """
 
-    sums: BlockSums
+    sums: DeviceArray
     weights: Weights
     shift: DeviceArray
     maps: tuple[DeviceArray, DeviceArray, DeviceArray]
 
     def value(self, device: Device) -> LossValue:
-        """Download the block sums and add them up; waits for the device."""
+        """Download the sums and add them up; waits for the device."""
         return self.value_later(device).get()
 
     def value_later(self, device: Device) -> LaterValue:
         """Begin :meth:`value`; only ``LaterValue.get`` waits."""
-        return LaterValue(self.sums.mean_later(device), self.weights)
+        return LaterValue(device.download_later(self.sums), self.maps[0].size, self.weights)
 
 
 @dataclass(frozen=True)
 class LaterValue:
-    """The value of a loss whose download is pending."""
+    """The value of a loss of ``count`` numbers, the download of whose sums is pending.
 
-    mean: LaterMean
+    They are added in float64 and in order: the same bits in every run.
+    """
+
+    sums: Download
+    count: int
     weights: Weights
 
     def get(self) -> LossValue:
         """The value; waits for it."""
-        l1, lost = (float(mean) for mean in self.mean.get())
+        l1, lost = (self.sums.get().sum(axis=0, dtype=np.float64) / max(self.count, 1)).tolist()
         return LossValue(l1, 1.0 - lost, self.weights.l1 * l1 + self.weights.ssim * lost)
 
 
@@ -159,7 +121,7 @@ def forward(
         w_map=maps[2],
         sums=sums,
     )
-    return Loss(BlockSums(sums, 3 * height * width), weights or Weights(), shift, maps)
+    return Loss(sums, weights or Weights(), shift, maps)
 
 
 def backward(device: Device, image: DeviceArray, target: DeviceArray, loss: Loss) -> DeviceArray:
@@ -200,18 +162,15 @@ def volume(
     weight: float,
     d_scale: DeviceArray,
     total: DeviceArray | None = None,
-) -> BlockSums:
-    """Mean product of the scales; ``weight`` times its gradient is added to ``d_scale``.
+) -> None:
+    """Add to ``d_scale`` the gradient of ``weight`` times the mean product of the scales.
 
     Args:
         device: where the arrays live.
         scale: (N, 3) float32, scene units.
-        weight: factor of the term in the loss; the returned mean is without it.
+        weight: factor of the term in the loss.
         d_scale: (N, 3) float32, changed in place.
         total: (1,) int64, how many of the N there are; the others have scale 0. Default: all.
-
-    Returns:
-        Sums whose ``mean(device)`` is (1,): the mean over all, 0 if there are none.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
@@ -222,21 +181,15 @@ def volume(
     count = shapes.axes["N"]
     if total is None:
         total = device.upload(np.array([count], np.int64))
-    blocks = -(-count // VOLUME_BLOCK)
-    sums = device.empty((blocks, 1))
-    items = ITEMS[device.specialisation]
     device.run(
-        device.kernel("loss/volume", "loss_volume", ITEMS=items, VOLUME_BLOCK=VOLUME_BLOCK),
-        (blocks * items,),
-        (items,),
+        device.kernel("loss/volume", "loss_volume"),
+        *by_lanes(device, count, device.vec),
         scale=scale,
         count=np.int32(count),
         weight=_factor(weight, 1),
         total=total,
         d_scale=d_scale,
-        sums=sums,
     )
-    return BlockSums(sums, total)
 
 
 def _factor(weight: float, count: int) -> np.float32:

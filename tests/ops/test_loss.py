@@ -158,9 +158,7 @@ def test_flat_tiles_give_the_same_bits_as_sums_of_zeros(device, rng, monkeypatch
             patch.setattr(loss, "_defines", lambda device: {**defines(device), "SKIP_FLAT": 0})
             plain, d_plain = run(device, image, target)
         assert device.download(result.shift).tobytes() == device.download(plain.shift).tobytes()
-        for mine, other in zip(
-            (*result.maps, result.sums.partials), (*plain.maps, plain.sums.partials), strict=True
-        ):
+        for mine, other in zip((*result.maps, result.sums), (*plain.maps, plain.sums), strict=True):
             assert np.array_equal(device.download(mine), device.download(other), equal_nan=True)
         assert np.array_equal(d_image, d_plain, equal_nan=True)
 
@@ -180,10 +178,8 @@ def test_volume_agrees_and_adds(device, rng):
         scale = np.exp(rng.normal(-2, 1, (count, 3))).astype(np.float32)
         start = rng.normal(size=(count, 3)).astype(np.float32) * 1e-4
         d_scale = device.upload(start)
-        sums = loss.volume(device, device.upload(scale), 0.01, d_scale)
-        value, gradient = reference.volume(scale.astype(np.float64), 0.01)
-        # three roundings a product, 8 to 256 additions
-        assert_close(sums.mean(device)[0], value, 24 * EPSILON * value, "volume")
+        loss.volume(device, device.upload(scale), 0.01, d_scale)
+        gradient = reference.volume(scale.astype(np.float64), 0.01)[1]
         limit = 4 * EPSILON * (np.abs(gradient) + np.abs(start))
         assert_close(device.download(d_scale), start + gradient, limit, "d_scale")
 
@@ -192,12 +188,11 @@ def test_volume_takes_the_number_from_the_device(device, rng):
     scale = np.exp(rng.normal(-2, 1, (700, 3))).astype(np.float32)
     start = rng.normal(size=(700, 3)).astype(np.float32) * 1e-4
     plain = device.upload(start)
-    expected = loss.volume(device, device.upload(scale), 0.01, plain).mean(device)
+    loss.volume(device, device.upload(scale), 0.01, plain)
     for spare in (0, 1, 500):
         wide = [np.append(one, np.zeros((spare, 3), np.float32), axis=0) for one in (scale, start)]
         d_scale, total = device.upload(wide[1]), device.upload(np.array([700], np.int64))
-        sums = loss.volume(device, device.upload(wide[0]), 0.01, d_scale, total)
-        assert np.array_equal(sums.mean(device), expected)
+        loss.volume(device, device.upload(wide[0]), 0.01, d_scale, total)
         assert np.array_equal(device.download(d_scale)[:700], device.download(plain))
         assert not device.download(d_scale)[700:].any()
 

@@ -144,7 +144,6 @@ def test_loss_of_many_pixels(device, side):
 def test_volume_of_many_gaussians(device, count):
     scale = np.exp(np.random.default_rng(4).normal(-3, 1, (count, 3))).astype(np.float32)
     d_scale = device.zeros((count, 3))
-    sums = loss.volume(device, device.upload(scale), 0.01, d_scale)
-    value, gradient = loss_reference.volume(scale.astype(np.float64), 0.01)
-    assert_close(sums.mean(device)[0], value, 1e-6 * value, "volume")
+    loss.volume(device, device.upload(scale), 0.01, d_scale)
+    gradient = loss_reference.volume(scale.astype(np.float64), 0.01)[1]
     assert relative_l2(device.download(d_scale), gradient) <= 2e-7

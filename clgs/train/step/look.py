@@ -232,7 +232,7 @@ class Looks:
         return Look(
             gradients=gradients,
             loss=compared.value_later(device),
-            partials=compared.sums.partials,
+            partials=compared.sums,
             totals=device.download_later(totals),
             seen=seen_view(frame, gradients) if observes(self._config, step) else None,
             d_maps=None if maps is None else self.exposure.gradient,
