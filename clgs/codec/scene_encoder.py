@@ -16,6 +16,7 @@ from clgs.codec.chunks import (
     DEFAULT_CHUNK,
     MAX_CHUNK,
     MIN_CHUNK,
+    STEP,
     TAGS,
     interleave,
     known_channels,
@@ -91,7 +92,8 @@ def encode(
         importance: of each anchor (A,) float64, at least 0, for ``layers``; default:
             ``clgs.codec.smaller``, opacity times area as seen from all around.
         details: the last of several layers adds no anchors, but the precision of all others, whose
-            integers are rounded to multiples of ``clgs.codec.chunks.STEP`` before it.
+            integers are rounded to multiples of ``clgs.codec.chunks.STEP`` before it; see
+            :func:`suits_details`.
 
     Raises:
         CodecError: positions repeat or span 2^21 cells, or a weight or setting is not a sensible
@@ -209,6 +211,15 @@ def _check_scene(scene: QuantizedScene) -> None:
         check_meta(len(scene.anchors), scene.scales, scene.transform, scene.settings)
     except ValueError as error:
         raise CodecError(f"header: {error}, which no file may hold; correct the scene") from error
+
+
+def suits_details(scene: QuantizedScene, layers: int) -> bool:
+    """Whether the last of ``layers`` should add precision: the rest keeps enough of it.
+
+    That is at least one integer per unit of features, as coarse as the paper's. Coarser anchors
+    show less than some of them in all their precision.
+    """
+    return layers > 2 and scene.scales.feature >= STEP
 
 
 def _in_layers(

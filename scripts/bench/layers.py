@@ -16,7 +16,7 @@ import numpy as np
 
 from clgs.codec.reader import SceneReader
 from clgs.codec.scene_decoder import decode, describe
-from clgs.codec.scene_encoder import encode
+from clgs.codec.scene_encoder import encode, suits_details
 from clgs.codec.sections import BytesSource, read_table
 from clgs.opencl.device import Device
 from clgs.render.renderer import Renderer
@@ -68,7 +68,8 @@ def main() -> None:
 
     orders = {"around": None, "views": importance_in_views(args.scene, scene, views)}
     for name, importance in orders.items():
-        data = encode(scene, layers=args.layers, importance=importance, details=True)
+        details = suits_details(scene, args.layers)
+        data = encode(scene, layers=args.layers, importance=importance, details=details)
         overhead = round(100 * (len(data) / len(plain) - 1), 2)
         for number, layer in enumerate(describe(data)["layers"], 1):
             row = {"scene": args.scene.stem, "order": name, "layer": number, **layer}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -139,7 +140,11 @@ def test_an_older_file_learns_of_its_photos(scene, target, tmp_path, capsys):
     assert not (tmp_path / "no.clgs").exists()
 
 
-def test_the_last_of_three_layers_is_the_precision_of_all_anchors(scene, target):
+def test_the_last_of_three_layers_is_the_precision_of_all_anchors(tmp_path, rng, target):
+    fine = random_scene(rng, 2000)
+    fine.scales = replace(fine.scales, feature=3.0)
+    save_scene(tmp_path / "s.npz", fine)
+    scene = str(tmp_path / "s.npz")
     assert main(["encode", scene, "-o", str(target), "--layers", "3"]) == 0
     data = target.read_bytes()
     whole, coarse = decode(data), decode(data, layers=2)
@@ -151,6 +156,14 @@ def test_the_last_of_three_layers_is_the_precision_of_all_anchors(scene, target)
     for layers in ("1", "2"):  # so few would begin with more than half of the file
         assert main(["encode", scene, "-o", str(target), "--layers", layers, "--overwrite"]) == 0
         assert describe(target.read_bytes())["version"] == "1.2"
+
+
+def test_coarse_features_are_not_made_coarser_by_layers(tmp_path, rng, target):
+    coarse = random_scene(rng, 2000)
+    coarse.scales = replace(coarse.scales, feature=2.9)
+    save_scene(tmp_path / "s.npz", coarse)
+    assert main(["encode", str(tmp_path / "s.npz"), "-o", str(target), "--layers", "3"]) == 0
+    assert all(layer["anchors"] > 0 for layer in describe(target.read_bytes())["layers"])
 
 
 @pytest.mark.slow

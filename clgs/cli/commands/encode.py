@@ -46,9 +46,9 @@ Below 256, max is no smaller than default, and paper grows by a quarter (64).
 --layers N: the file is made of N layers, and its beginning up to the end of any of them is a
 coarser scene, the first one of several with about a tenth of the bytes. Anchors come in the order
 of their importance: opacity times area in training views (--data, or the data set that RUN names),
-or else from all around. The last of 3 layers or more, about 40 % of the bytes, adds the precision
-of all anchors: before it, they have a third of it. 4 layers cost 1.5 to 3.7 % of the bytes at level
-default, 4 to 8 % at the other levels. To meet a target too, encode to the target first, and that
+or else from all around. If features have 3 integers per unit or more, the last of 3 layers or more,
+almost half of the bytes, adds the precision of all anchors: before it, they have a third of it.
+4 layers cost 0.8 to 3.7 % of the bytes at level default, up to 8 % at the other levels. To meet a target too, encode to the target first, and that
 file in layers.
 --data alone: the file learns of its photos, as those of older versions have not, so that it is
 drawn right at other sizes than theirs. --downscale or --max-size say at which size they were
@@ -117,7 +117,7 @@ def register(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Encode; exit code 0."""
     from clgs.cli.display import Display
-    from clgs.codec.scene_encoder import check_options, encode
+    from clgs.codec.scene_encoder import check_options, encode, suits_details
     from clgs.data.splats.anchors import load_scaffold, mlps_path
     from clgs.errors import UsageError
     from clgs.files import atomic_write
@@ -155,7 +155,8 @@ def run(args: argparse.Namespace) -> int:
     def pack(scene: QuantizedScene, importance: npt.NDArray[np.float64] | None = None) -> bytes:
         options = args.level, args.chunk, args.threads, args.mlp, args.layers
         with _in_words_of_options(path):
-            return encode(scene, *options, importance, details=(args.layers or 0) > 2)
+            details = suits_details(scene, args.layers or 0)
+            return encode(scene, *options, importance, details=details)
 
     if target:
         with Display() as display:
