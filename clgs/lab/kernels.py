@@ -2,11 +2,14 @@
 
 Limits, against which stages are measured. copy: target = source. fma: CHAINS independent chains
 x <- x factor + term per lane, starting at (1 .. CHAINS) / 8, and their sum. rounding: the
-operations whose last bit drivers disagree about. Decisions come from builds of the blending that
-say so, and from outputs of the MLPs.
+operations whose last bit drivers disagree about. Decisions, and numbers of pairs, come from
+builds of the blending that say so, and from outputs of the MLPs.
 """
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +18,7 @@ from clgs.constants import HEAD_DIMS, K_OFFSETS, TILE_SIZE
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.opencl.grid import ANY_GROUP, by_items
+from clgs.opencl.kernel import Argument, Kernel
 from clgs.ops import blend, mlp
 from clgs.reference.blend import Decisions
 from clgs.shapes import Shapes
@@ -98,13 +102,53 @@ def exact_rounding(
     return np.stack([x / y, np.sqrt(y), product + z, x * y + z]).astype(np.float32)
 
 
+def observed_passes(
+    device: Device, blended: blend.Blended, d_image: DeviceArray, **observe: int
+) -> Iterator[tuple[Kernel, dict[str, Argument]]]:
+    """The forward and the backward kernel, built to be observed, with their usual arguments.
+
+    ``observe``: a macro of kernels_cl/blend/observe.h, which adds arguments to the kernels.
+    """
+    macros = {**observe, **blend.defines(device, blended.options)}
+    rows = device.empty((len(blended.tiles.gaussian), blend.ROW_SIZE))
+    forward_kernel = device.kernel("blend/forward", "blend_forward", **macros)
+    yield forward_kernel, blend.forward_arguments(blended)
+    backward_kernel = device.kernel("blend/backward", "blend_backward", **macros)
+    yield backward_kernel, blend.backward_arguments(blended, d_image, rows)
+
+
+@dataclass(frozen=True)
+class PairCounts:
+    """Pairs of a pixel and a Gaussian, in one pass over a picture.
+
+    visited: pairs that were computed; blended: those of them that changed a pixel.
+    """
+
+    visited: int
+    blended: int
+
+
+def count_pairs(
+    device: Device, blended: blend.Blended, d_image: DeviceArray
+) -> tuple[PairCounts, PairCounts]:
+    """The work of the forward and of the backward kernel; renders once more."""
+    grid = blend.tile_grid(device, blended.tiles)
+    found = []
+    for kernel, arguments in observed_passes(device, blended, d_image, COUNT_PAIRS=1):
+        pairs = device.zeros((grid[0][0], 2), np.uint64)
+        device.run(kernel, *grid, **arguments, pairs=pairs)
+        visited, taken = device.download(pairs).sum(axis=0, dtype=np.uint64)
+        found.append(PairCounts(int(visited), int(taken)))
+    return found[0], found[1]
+
+
 def blend_decisions(
     device: Device, blended: blend.Blended, d_image: DeviceArray
 ) -> tuple[Decisions, Decisions]:
     """What the forward and what the backward kernel decide; slow."""
     words = (len(blended.tiles.gaussian), TILE_SIZE**2 // 32)
     found = []
-    for kernel, arguments in blend.observed_passes(device, blended, d_image, EXPORT_DECISIONS=1):
+    for kernel, arguments in observed_passes(device, blended, d_image, EXPORT_DECISIONS=1):
         bits = {name: device.zeros(words, np.uint32) for name in ("blended", "clamped")}
         device.run(kernel, *blend.tile_grid(device, blended.tiles), **arguments, **bits)
         words_of = (device.download(one)[:, :, None] for one in bits.values())

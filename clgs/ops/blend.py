@@ -17,7 +17,6 @@ Sources: 3DGS (Kerbl et al. 2023); the whitened moments are our own.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +25,7 @@ from clgs.constants import TILE_SIZE
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.opencl.grid import LaunchSizes, by_items, by_lanes
-from clgs.opencl.kernel import Argument, Kernel
+from clgs.opencl.kernel import Argument
 from clgs.ops.project import Projected, ProjectedGradients
 from clgs.ops.tiles import TileLists, tile_count
 from clgs.options import DEFAULT, RenderOptions
@@ -223,46 +222,6 @@ def backward_arguments(
     arguments = {**forward_arguments(blended), "d_image": d_image, "rows": rows}
     del arguments["image"]
     return arguments
-
-
-def observed_passes(
-    device: Device, blended: Blended, d_image: DeviceArray, **observe: int
-) -> Iterator[tuple[Kernel, dict[str, Argument]]]:
-    """The forward and the backward kernel, built to be observed, with their usual arguments.
-
-    ``observe``: a macro of kernels_cl/blend/observe.h, which adds arguments to the kernels.
-    """
-    macros = {**observe, **defines(device, blended.options)}
-    rows = device.empty((len(blended.tiles.gaussian), ROW_SIZE))
-    forward_kernel = device.kernel("blend/forward", "blend_forward", **macros)
-    yield forward_kernel, forward_arguments(blended)
-    backward_kernel = device.kernel("blend/backward", "blend_backward", **macros)
-    yield backward_kernel, backward_arguments(blended, d_image, rows)
-
-
-@dataclass(frozen=True)
-class PairCounts:
-    """Pairs of a pixel and a Gaussian, in one pass over a picture.
-
-    visited: pairs that were computed; blended: those of them that changed a pixel.
-    """
-
-    visited: int
-    blended: int
-
-
-def count_pairs(
-    device: Device, blended: Blended, d_image: DeviceArray
-) -> tuple[PairCounts, PairCounts]:
-    """The work of the forward and of the backward kernel; renders once more."""
-    grid = tile_grid(device, blended.tiles)
-    found = []
-    for kernel, arguments in observed_passes(device, blended, d_image, COUNT_PAIRS=1):
-        pairs = device.zeros((grid[0][0], 2), np.uint64)
-        device.run(kernel, *grid, **arguments, pairs=pairs)
-        visited, taken = device.download(pairs).sum(axis=0, dtype=np.uint64)
-        found.append(PairCounts(int(visited), int(taken)))
-    return found[0], found[1]
 
 
 def _gradients(

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from clgs.data.origin import repose, same_place
 from clgs.errors import DataError, UsageError
@@ -23,7 +22,6 @@ from clgs.train.run.run_folder import (
     finished_run,
     finished_settings,
 )
-from clgs.train.run.savings import Saving, savings
 from clgs.train.run.session import Progress, Session
 from clgs.train.step.batch import open_devices
 from clgs.workflow.events import Note, OnEvent, TrainingProgress, ignore
@@ -33,17 +31,16 @@ from clgs.workflow.views import scene_name
 
 @dataclass(frozen=True)
 class TrainedRun:
-    """A run: its result, its steps, and what was measured if that was asked for.
+    """A run: its result, its steps, and the times of its stages if they were asked for.
 
     was_finished: the folder held all of it already; times: (stage, calls, median milliseconds,
-    seconds in all) of each stage; saved: what each skip saved on the first view.
+    seconds in all) of each stage.
     """
 
     result: RunResult
     steps: int
     was_finished: bool = False
     times: tuple[tuple[str, int, float, float], ...] = ()
-    saved: tuple[Saving, ...] = ()
 
 
 def train(
@@ -121,18 +118,13 @@ def train(
 
     result = session.run(report)
     rows: list[tuple[str, int, float, float]] = []
-    saved: list[Saving] = []
     if profile:
         rows = opened.profile.rows()
-        saved = savings(session.trainer)
         names = ("stage", "calls", "median_ms", "total_s")
-        record: dict[str, Any] = {
-            "stages": [dict(zip(names, row, strict=True)) for row in rows],
-            "skips": [{**asdict(saving), "share": saving.share} for saving in saved],
-        }
+        record = {"stages": [dict(zip(names, row, strict=True)) for row in rows]}
         write_json(folder / "profile.json", record)
     write_report()
-    return TrainedRun(result, config.steps, times=tuple(rows), saved=tuple(saved))
+    return TrainedRun(result, config.steps, times=tuple(rows))
 
 
 def read_finished(

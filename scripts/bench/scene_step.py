@@ -3,7 +3,7 @@
 
 Steps are those that would follow the run's last one, with learning rates too small to change the
 scene; the views are dealt as in training. Stages are timed in further steps, with a wait after
-each.
+each. Then comes what each skip leaves of the work on a view.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from statistics import mean, median
 
 from clgs.data.origin import repose
 from clgs.lab.bench.step import STILL, render_times, stream_times
+from clgs.lab.savings import savings
 from clgs.opencl.device import Device
 from clgs.train.config import from_toml
 from clgs.train.run.load import load_for, state_of_scene
@@ -47,6 +48,8 @@ def main() -> None:
     stream_times(trainer, args.steps)
     for name, calls, milliseconds, _ in device.profile.rows():
         print(f"  {name:16} {milliseconds:8.2f} ms, {calls} calls")
+    for one in savings(trainer):
+        print(f"  {one.skip}: {one.done:,} of {one.without:,} {one.unit}")
 
 
 if __name__ == "__main__":

@@ -23,9 +23,10 @@ from typing import Any
 import numpy as np
 
 from clgs.lab.bench.step import count_frame, trainer_of
+from clgs.lab.kernels import count_pairs
 from clgs.lab.scenes import anchor_scene
 from clgs.opencl.device import Device
-from clgs.ops import blend, scan, sort
+from clgs.ops import scan, sort
 
 SEED = 0
 
@@ -130,7 +131,7 @@ def units(device: Device, trainer: Any) -> dict[str, int]:
     """How much of everything a step has; pairs are those that the kernels look at."""
     frame = trainer.render_next()
     counts = count_frame(device, frame)
-    forward, backward = blend.count_pairs(
+    forward, backward = count_pairs(
         device, frame.blended, device.zeros((3, frame.view.size[1], frame.view.size[0]))
     )
     tensors = [array for _, array in trainer.parameters.scene.items()]

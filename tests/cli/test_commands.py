@@ -132,12 +132,10 @@ def test_accuracy_is_that_of_the_run_unless_another_is_named(data, tmp_path):
 
 
 def assert_profile(said, run):
-    """``clgs train --profile`` tells times and savings."""
+    """``clgs train --profile`` tells times."""
     assert "blend backward" in said
-    assert "exact_tiles" in said
     profile = json.loads((run / "profile.json").read_text())
     assert {stage["stage"] for stage in profile["stages"]} >= {"cull", "adam", "loss backward"}
-    assert all(0 <= skip["share"] <= 1 for skip in profile["skips"])
 
 
 @pytest.mark.slow

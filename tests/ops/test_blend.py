@@ -8,6 +8,7 @@ from itertools import product
 import numpy as np
 import pytest
 
+from clgs.lab.kernels import count_pairs
 from clgs.ops import blend
 from clgs.options import DEFAULT, PRESETS, RenderOptions, Skips
 from clgs.reference import blend as reference
@@ -173,8 +174,7 @@ def test_skipped_work_changes_no_bit(open_device, rng, form, skip, kind):
     for name in GRADIENTS:
         assert np.array_equal(one[name], other[name]), name
     works = [
-        blend.count_pairs(device, rendered.blended, device.upload(d_image))
-        for rendered in (some, every)
+        count_pairs(device, rendered.blended, device.upload(d_image)) for rendered in (some, every)
     ]
     saved = [less.visited < more.visited for less, more in zip(*works, strict=True)]
     expected = {
@@ -362,7 +362,7 @@ def test_counted_pairs_are_those_decided(device, rng):
     d_image = rng.normal(size=(3, 50, 70)).astype(np.float32)
     lists = rendered.inputs["tiles"]
     before = rendered.host("image")
-    forward, backward = blend.count_pairs(device, rendered.blended, device.upload(d_image))
+    forward, backward = count_pairs(device, rendered.blended, device.upload(d_image))
     taken = int(decisions(rendered, d_image)[0].contributed.sum())
     assert forward.blended == backward.blended == taken > 0
     every = len(lists.gaussian) * 256

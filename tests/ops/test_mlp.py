@@ -12,12 +12,12 @@ import pytest
 
 from clgs import constants
 from clgs.lab.kernels import drawn_output, drawn_rows
+from clgs.lab.savings import MlpWork, mlp_work
 from clgs.opencl import programs
 from clgs.opencl.programs import literal
 from clgs.ops import mlp
 from clgs.options import DEFAULT, RenderOptions, Skips
 from clgs.reference import mlp as reference
-from clgs.train.run.savings import MlpWork, mlp_work
 from tests.compare import assert_close, relative_l2
 from tests.ops.cases.mlp import (
     anchors,

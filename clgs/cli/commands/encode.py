@@ -47,9 +47,9 @@ Below 256, max is no smaller than default, and paper grows by a quarter (64).
 coarser scene, the first one of several with about a tenth of the bytes. Anchors come in the order
 of their importance: opacity times area in training views (--data, or the data set that RUN names),
 or else from all around. If features have 3 integers per unit or more, the last of 3 layers or more,
-almost half of the bytes, adds the precision of all anchors: before it, they have a third of it.
-4 layers cost 0.8 to 3.7 % of the bytes at level default, up to 8 % at the other levels. To meet a target too, encode to the target first, and that
-file in layers.
+almost half of the bytes, adds the precision of all anchors: before it, they have a third of it. 4
+layers cost 0.8 to 3.7 % of the bytes at level default, up to 8 % at the other levels. To meet a
+target too, encode to the target first, and that file in layers.
 --data alone: the file learns of its photos, as those of older versions have not, so that it is
 drawn right at other sizes than theirs. --downscale or --max-size say at which size they were
 trained on, if RUN is no run folder.

@@ -67,7 +67,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     add(
         "--profile",
         action="store_true",
-        help="show the time of every stage and what each skip saved; writes profile.json (slower)",
+        help="show the time of every stage; writes profile.json (slower)",
     )
     add(
         "--tensorboard",
@@ -136,7 +136,6 @@ def show(trained: TrainedRun) -> None:
         done = f"is finished already, after {trained.steps} steps; nothing is changed"
         print(f"{result.folder}: {done}")
     if trained.times:
-        # print the times of the stages, and what each skip saved
         from rich.console import Console
         from rich.table import Table
 
@@ -147,13 +146,7 @@ def show(trained: TrainedRun) -> None:
         for name, calls, milliseconds, seconds in trained.times:
             share = f"{100 * seconds / total:.1f} %"
             table.add_row(name, str(calls), f"{milliseconds:.2f}", f"{seconds:.1f}", share)
-        skips = Table("skip", "work", title="Work left out, on the first view")
-        for column in ("done", "without", "saved"):
-            skips.add_column(column, justify="right")
-        for one in trained.saved:
-            counts = f"{one.done:,}", f"{one.without:,}", f"{100 * one.share:.1f} %"
-            skips.add_row(one.skip, one.unit, *counts)
-        Console().print(table, skips)
+        Console().print(table)
     in_training = f" ({summary['train_psnr']:.2f} in training)" if "train_psnr" in summary else ""
     split = "held-out" if summary["split"] == "test" else "training"
     print(

@@ -10,6 +10,7 @@ from statistics import median
 import numpy as np
 
 from clgs.lab.figures import show_table, write_figures
+from clgs.lab.savings import savings
 from clgs.lab.scenes import anchor_scene, photo_dataset
 from clgs.opencl.device import Device
 from clgs.render.frame import Frame
@@ -70,7 +71,8 @@ def run(
     if json:
         check_new(json, overwrite)
     opened = Device(device)
-    times = time_steps(synthetic_trainer(opened, gaussians, size, seed), repeats)
+    trainer = synthetic_trainer(opened, gaussians, size, seed)
+    times, saved = time_steps(trainer, repeats), savings(trainer)
     title = (
         f"{opened.name} ({opened.specialisation}): {times.anchors:,} anchors, "
         f"{times.gaussians:,} Gaussians, {times.intersections:,} intersections, "
@@ -88,7 +90,9 @@ def run(
         ("launches of a step", str(times.launches)),
     ]
     show_table(title, ("stage", "median ms"), rows)
-    write_figures(json, asdict(times), opened)
+    counts = [(f"{one.skip}: {one.unit}", f"{one.done:,} of {one.without:,}") for one in saved]
+    show_table("work that is done with each skip", ("skip", "done"), counts)
+    write_figures(json, {**asdict(times), "savings": list(map(asdict, saved))}, opened)
     return 0
 
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from clgs.lab.savings import savings
 from clgs.train.config import MAX_WEIGHT, preset
-from clgs.train.run.savings import savings
 from clgs.train.run.trainer import NonFiniteLossError, Trainer
 
 STEPS = 240

@@ -1,4 +1,4 @@
-"""How much work the skips save, counted on one view of a training run."""
+"""How much work the skips save, counted on one view that a trainer looks at."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clgs.constants import K_OFFSETS, OUTPUT_DIM
+from clgs.lab.kernels import PairCounts, count_pairs
 from clgs.opencl.device import Device
 from clgs.ops import adam, blend, mlp, tiles
-from clgs.ops.blend import PairCounts
 from clgs.options import RenderOptions
 from clgs.render.frame import Frame
 from clgs.render.rasterise import rasterise_backward
@@ -75,7 +75,7 @@ def _pairs(device: Device, frame: Frame, options: RenderOptions) -> tuple[PairCo
     background = frame.view.background
     blended = blend.forward(device, frame.projected, frame.tiles, background, options)
     d_image = device.upload(np.ones(blended.image.shape, np.float32))
-    return blend.count_pairs(device, blended, d_image)
+    return count_pairs(device, blended, d_image)
 
 
 def _without(options: RenderOptions, skip: str) -> RenderOptions:
