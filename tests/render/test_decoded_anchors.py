@@ -53,13 +53,13 @@ def reference(scene, camera, changes=None):
 
 def reference_gradients(scene, camera, d):
     gaussians, activations, wide = reference(scene, camera)
-    visible, packed = activations.visible, camera.pack(scene.settings.near)
+    visible = activations.visible
     given = neural.GaussianGradients(**{f"d_{FIELDS[name]}": d[name] for name in FIELDS})
-    d_output, d_offset, d_scaling, _ = neural.backward(
+    d_output, d_offset, d_scaling = neural.backward(
         gaussians, activations.output, visible, wide["offset"], wide["scaling"], given
     )
-    d_weights, d_feature, _ = mlp.backward(
-        activations, wide["position"], wide["weights"], packed, d_output
+    d_weights, d_feature = mlp.backward(
+        activations, len(wide["position"]), wide["weights"], d_output
     )
     return dict(zip(BY, (d_offset, d_feature, d_scaling, d_weights), strict=True))
 
