@@ -253,7 +253,7 @@ def _resolved(
     most = int(len(outline.train) / LEAST_CONTRIBUTION)  # a photo is in no more blocks than that
     if counts is not None and counts[0] * counts[1] > most:
         photos = len(outline.train)
-        raise UsageError(f"--blocks: {photos} photos have parts of at most {most}; give fewer")
+        raise UsageError(f"--blocks: {photos} photos suffice for {most} blocks at most; give fewer")
     width = max(view.camera.width for view in outline.train)
     return config.for_dataset(outline.kind), width
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
-from urllib.parse import urlsplit
 
 import numpy as np
 import numpy.typing as npt
@@ -330,7 +329,8 @@ def export_link(
         raise UsageError(f"{output}: only a page has a link to its scene; name an .html file")
     if not link:
         raise UsageError("link: is empty; name the .clgs file as seen from the page")
-    if "\\" in link or urlsplit(link).scheme not in ("", "http", "https"):
+    scheme, colon, _ = link.partition("/")[0].partition(":")
+    if "\\" in link or (colon and scheme.lower() not in ("http", "https")):
         remedy = "give http(s)://..., or the way there from the page, with /"
         raise UsageError(f"link: a page cannot read {link}; {remedy}")
     check_new(output, overwrite)

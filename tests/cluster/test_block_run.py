@@ -174,7 +174,7 @@ def test_no_other_command_comes_in_before_the_report(trained, balls, tmp_path, m
         (("--workers", "2"), "--workers, --scheduler: train blocks; add --blocks auto"),
         (("--blocks", "2x1", "--exposure"), "--exposure: a photo would have one in each block"),
         (("--blocks", "2x1", "--profile"), "--profile: not with --blocks"),
-        (("--blocks", "64x64"), "--blocks: 8 photos have parts of at most 80; give fewer"),
+        (("--blocks", "64x64"), "--blocks: 8 photos suffice for 80 blocks at most; give fewer"),
     ],
 )
 def test_what_cannot_be_is_one_line(balls, tmp_path, capsys, words, named):
