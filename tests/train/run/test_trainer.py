@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.lab.savings import savings
 from clgs.train.config import MAX_WEIGHT, preset
 from clgs.train.run.trainer import NonFiniteLossError, Trainer
 
@@ -95,23 +94,6 @@ def test_visible_adam_leaves_unseen_rows_alone(dataset, cpu):
     assert np.array_equal(after[hidden], before[hidden])
     assert not np.array_equal(dense_after[hidden], dense_before[hidden])  # momentum moves them
     assert not np.array_equal(after[seen[:50]], before[seen[:50]])
-
-
-@pytest.mark.slow
-def test_savings_count_no_more_than_all(dataset, cpu):
-    trainer = Trainer(cpu, dataset, config(dataset))
-    list(trainer.steps(12))
-    found = {(one.skip, one.unit): one for one in savings(trainer)}
-    assert all(0 <= one.done <= one.without for one in found.values())
-    assert found["slots", "rows of color and shape"].share > 0
-    assert found["units", "pairs visited, forward"].share > 0
-    assert found["exact_tiles", "tile entries"].share > 0
-    frame = trainer.render_next()
-    entries = found["exact_tiles", "tile entries"]
-    assert entries.done == len(frame.tiles.gaussian)
-    assert found["(bound)", "pairs blended of visited"].done > 0
-    rate = found["rate interval", "steps with the rate proxy"]
-    assert (rate.done, rate.without) == (STEPS // 20, STEPS // 2)
 
 
 def test_the_largest_weights_train(dataset, cpu):
