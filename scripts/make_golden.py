@@ -56,6 +56,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "layers": {"chunk": 64, "layers": 3},
     "max": {"level": "max"},
     "paper": {"level": "paper"},
+    "sided": {"layers": 2, "details": True},
 }
 """How a file is encoded, if not by default."""
 
@@ -74,6 +75,7 @@ def golden_scenes() -> dict[str, QuantizedScene]:
         "paper": _scene(_scattered(), 9, 17),
         "layers": _follow(_scene(_surface(13), 2, 19, settings, transform), 2),
         "details": _follow(_scene(_surface(13), 5, 20, settings, transform), 2),
+        "sided": _related(_scene(_surface(17), 5, 21)),
         "deep": _scene(_deep(), 2**31 - 1, 18),
     }
 
@@ -134,6 +136,14 @@ def _follow(scene: QuantizedScene, period: int) -> QuantizedScene:
         change = rows % 3 - 1
         change[:, np.arange(rows.shape[1]) % (4 * period) != 0] = 0
         rows[:] = drift[:, None] // 2 * (np.arange(rows.shape[1]) % 2) + change
+    return scene
+
+
+def _related(scene: QuantizedScene) -> QuantizedScene:
+    """The scene with features near three times the first of their row, and little else."""
+    anchors = scene.anchors
+    anchors.feature[:, 1:] = 3 * anchors.feature[:, :1] + anchors.feature[:, 1:] % 5 - 2
+    anchors.feature[:, 12:], anchors.offset[:], anchors.scaling[:] = 0, 1, -30
     return scene
 
 

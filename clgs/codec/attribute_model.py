@@ -21,8 +21,10 @@ Ints: TypeAlias = npt.NDArray[np.int32]
 Models: TypeAlias = npt.NDArray[Any]
 
 TAPS, CELLS, CLASSES, TABLE, SCALE = 16, 64, 16, 256, 4096
-MIXED, KNOWN = 1, 2
-"""Coders other than tables (0); a reader has the values of known channels already."""
+MIXED, KNOWN, SIDED = 1, 2, 3
+"""Coders other than tables (0). A reader has the values of known channels already; those of sided
+ones have tables that their terms choose.
+"""
 
 NEAR = -4
 """The row of a tap that looks at the near rows: those before it whose positions are nearest."""
@@ -131,12 +133,51 @@ def find_taps(model: Models, sample: Ints, near: Ints | None) -> None:
         allowed = np.zeros((len(rows), channels), bool)
         allowed[:, :j] = True
         allowed[:, j] = np.array(rows) < 0
-        chosen = _pursue(products, np.flatnonzero(allowed), j)
-        factors = _solve(products, chosen, j)
-        taps = [(int(c), f) for c, f in zip(chosen, factors, strict=True) if f != 0]
-        model["taps"][j] = len(taps)
-        for t, (c, factor) in enumerate(taps):
-            model["tap"][j, t] = c % channels, rows[c // channels], factor
+        _set_taps(model, j, products, j, np.flatnonzero(allowed), rows)
+
+
+def find_sides(model: Models, sample: Ints, near: Ints, step: int, most: int) -> None:
+    """Set the terms of sided channels: how far a prediction is from what is known.
+
+    Channels of odd number have what is left of values divided by ``step``, those before them the
+    quotients. A value is predicted as by :func:`find_taps`, by ``most`` terms or fewer, but not
+    from its own quotient, step times which is then taken off. Other arguments as there.
+    """
+    channels = len(model)
+    products = _products(sample.astype(np.int64) - model["centre"], near)
+    values = np.zeros((channels // 2, channels))  # quotients and what is left, added up
+    values[:, ::2][:, : channels // 2] = step * np.eye(channels // 2)
+    values[:, 1::2] = np.eye(channels // 2)
+    crossed = values @ products[:channels]
+    whole = crossed[:, :channels] @ values.T
+    products = np.block([[products, crossed.T], [crossed, whole]])
+    for i in range(channels // 2):
+        allowed = np.zeros((len(NEAR_ROWS), channels), bool)
+        allowed[:, : 2 * i] = True
+        allowed[1, 2 * i] = True
+        j, candidates = 2 * i + 1, np.flatnonzero(allowed)
+        taps = _set_taps(model, j, products, 2 * channels + i, candidates, NEAR_ROWS, most)
+        model["tap"][j, taps] = 2 * i, 0, -step * FACTOR
+        model["taps"][j] = taps + 1
+
+
+def _set_taps(
+    model: Models,
+    j: int,
+    products: Floats,
+    target: int,
+    candidates: npt.NDArray[np.intp],
+    rows: tuple[int, ...],
+    most: int = TAPS,
+) -> int:
+    """Set the terms of channel j that explain column ``target``; returns their number."""
+    chosen = _pursue(products, candidates, target, most)
+    factors = _solve(products, chosen, target)
+    taps = [(int(c), f) for c, f in zip(chosen, factors, strict=True) if f != 0]
+    model["taps"][j] = len(taps)
+    for t, (c, factor) in enumerate(taps):
+        model["tap"][j, t] = c % len(model), rows[c // len(model)], factor
+    return len(taps)
 
 
 def _products(value: npt.NDArray[np.int64], near: Ints | None) -> Floats:
@@ -165,8 +206,8 @@ def _products(value: npt.NDArray[np.int64], near: Ints | None) -> Floats:
     return np.asarray(np.triu(products) + np.triu(products, 1).T)
 
 
-def _pursue(products: Floats, candidates: npt.NDArray[np.intp], j: int) -> list[int]:
-    """The candidates that explain column j; the best comes first."""
+def _pursue(products: Floats, candidates: npt.NDArray[np.intp], j: int, most: int) -> list[int]:
+    """The ``most`` candidates or fewer that explain column j; the best comes first."""
     chosen: list[int] = []
     square = products[candidates, candidates]
     with_target = products[candidates, j]
@@ -175,7 +216,7 @@ def _pursue(products: Floats, candidates: npt.NDArray[np.intp], j: int) -> list[
         return chosen
     directions: list[Floats] = []
     lengths: list[float] = []
-    while len(chosen) < TAPS:
+    while len(chosen) < most:
         usable = square > 1e-9 * products[candidates, candidates]
         explained = np.where(usable, with_target, 0.0) ** 2 / np.where(usable, square, 1.0)
         best = int(np.argmax(explained))

@@ -16,16 +16,21 @@ import numpy.typing as npt
 from clgs import _codec
 from clgs.codec.attribute_model import (
     CELLS,
+    FACTOR,
     KNOWN,
+    MAX_FACTOR,
     MAX_GAIN,
     MAX_WEIGHT,
     MIXED,
+    SIDED,
     TABLE,
+    TAPS,
     Ints,
     Models,
     NearRows,
     empty_model,
     find_near,
+    find_sides,
     find_taps,
     looks_near,
 )
@@ -98,13 +103,13 @@ class RowSample:
 class RowChunks:
     """What a model is fitted to: ``values`` (n, channels) int32 in chunks, ``near`` by position.
 
-    ``known`` (channels,): those that a reader has already.
+    ``step``: if not 0, channels of even number are quotients by it, which a reader has already.
     """
 
     values: Ints
     chunks: list[slice]
     near: NearRows | None = None
-    known: npt.NDArray[np.bool_] | None = None
+    step: int = 0
 
     def with_near(self, model: Models | None) -> Iterator[tuple[Ints, Ints | None]]:
         """Each chunk, and its near rows if ``model`` looks at them."""
@@ -158,12 +163,13 @@ def fit(rows: RowChunks, search: bool) -> tuple[Models, int]:
     # the mean, halves rounded up; 0 if a quarter of a column is 0
     means = (2 * sample.values.sum(axis=0, dtype=np.int64) + count) // (2 * count)
     model["centre"] = np.where(4 * (sample.values == 0).sum(axis=0) >= count, 0, means)
-    if rows.known is not None:
-        model["coder"][rows.known] = KNOWN
-        model["frequency"][rows.known] = 0
+    if rows.step:
+        model["coder"][::2], model["frequency"][::2] = KNOWN, 0
     if search:
         choose_taps(model, sample)
         choose_activity(model, sample)
+        if 0 < rows.step <= MAX_FACTOR // FACTOR and sample.near is not None:
+            choose_sided(model, sample, sample.near, rows.step)
     cost = rows.choose(model)
     # clear what no class depends on, so that it costs no bits of the header
     idle = model["classes"] == 1
@@ -218,6 +224,21 @@ def choose_activity(model: Models, sample: RowSample) -> None:
             trial["weight"] = weight
             trial["span"] = np.minimum(span, np.arange(len(model)))
             keep_better(trial)
+    model[:] = best
+
+
+def choose_sided(model: Models, sample: RowSample, near: Ints, step: int) -> None:
+    """Have those channels of odd number sided that take fewer bits so."""
+    odd = np.arange(len(model)) % 2 == 1
+    best = model.copy()
+    best_cost = sample.choose(best) + TAP_COST * best["taps"].astype(np.uint64)
+    for most in (0, TAPS - 1):  # 0: by the quotient alone
+        trial = model.copy()
+        find_sides(trial, sample.values, near, step, most)
+        trial["coder"][odd], trial["weight"][odd], trial["span"][odd] = SIDED, 0, 1
+        cost = sample.choose(trial) + TAP_COST * trial["taps"].astype(np.uint64)
+        better = odd & (cost < best_cost)
+        best[better], best_cost[better] = trial[better], cost[better]
     model[:] = best
 
 

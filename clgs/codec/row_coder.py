@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from clgs import _codec
 from clgs.codec import attribute_search
-from clgs.codec.attribute_model import CHANNEL, KNOWN, Ints, Models, NearRows, looks_near
+from clgs.codec.attribute_model import CHANNEL, KNOWN, SIDED, Ints, Models, NearRows, looks_near
 from clgs.codec.attribute_search import RowChunks
 from clgs.codec.octree import runs
 
@@ -147,11 +147,14 @@ def fit(
     return paper if paper_size < size else tables
 
 
-def fit_with_known(
-    values: Ints, known: npt.NDArray[np.bool_], level: str, chunks: list[slice], near: NearRows
+def fit_details(
+    values: Ints, step: int, level: str, chunks: list[slice], near: NearRows
 ) -> RowModel:
-    """The model of ``values`` (n, channels) int32 for readers that have the ``known`` channels."""
-    rows = RowChunks(np.ascontiguousarray(values, np.int32), chunks, near, known)
+    """The model of ``values`` (n, 2 channels) int32: quotients by ``step``, and what they leave.
+
+    Readers have the quotients already.
+    """
+    rows = RowChunks(np.ascontiguousarray(values, np.int32), chunks, near, step)
     model, _ = attribute_search.fit(rows, search=level in ("default", "max"))
     return table_model(attribute_search.choose_mixed(model, rows) if _mixes(level, rows) else model)
 
@@ -182,4 +185,6 @@ def read(
     _codec.attributes_read(header, model)
     if ((model["coder"] == KNOWN) != (False if known is None else known)).any():
         raise ValueError("other channels are known than must be")
+    if known is None and (model["coder"] == SIDED).any():
+        raise ValueError("a sided channel, but none is known")
     return RowModel(channels, bytes(header), model)

@@ -19,7 +19,6 @@ from clgs.codec.chunks import (
     STEP,
     TAGS,
     interleave,
-    known_channels,
     pack_details,
     pack_directory,
     round_attributes,
@@ -137,8 +136,7 @@ def encode(
         hashes = pool.map(array_hash, content_arrays(whole, scene.mlps.flat))
         models = {tag: pool.submit(row_coder.fit, rows[tag], level, spans, near) for tag in rows}
         for tag, both in detail_rows.items():
-            known = known_channels(both.shape[1])
-            models[tag] = pool.submit(row_coder.fit_with_known, both, known, level, spans, near)
+            models[tag] = pool.submit(row_coder.fit_details, both, step, level, spans, near)
         batches = octree.batches(spans)
         tasks = {ANCH: [pool.submit(encode_positions, batch) for batch in batches]}
         packed = pool.submit(pack_weights, scene.mlps.flat, mlp)

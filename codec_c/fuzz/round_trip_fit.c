@@ -40,6 +40,18 @@ static void take_taps(fuzz_input *input, clgs_channel *channel, int32_t j)
     }
 }
 
+/* Sided, if no term is of the channel itself. */
+static void take_side(clgs_channel *channel, int32_t j)
+{
+    int sided = channel->taps > 0;
+    for (int32_t t = 0; t < channel->taps; t++)
+        sided &= channel->tap[t].channel < j;
+    if (!sided)
+        return;
+    channel->coder = CLGS_SIDED;
+    memset(channel->weight, 0, sizeof channel->weight);
+}
+
 static void take_channel(fuzz_input *input, clgs_channel *channel, int32_t j)
 {
     uint32_t kind = fuzz_take(input, 1);
@@ -53,6 +65,8 @@ static void take_channel(fuzz_input *input, clgs_channel *channel, int32_t j)
         channel->weight[k] = take_below(input, CLGS_MAX_WEIGHT + 1);
     if (kind & 64 && channel->coder != CLGS_KNOWN)
         take_taps(input, channel, j);
+    if ((kind & 7) == 5)
+        take_side(channel, j);
 }
 
 /* Tables from the values; mixed channels have none, and known ones are not given any. */

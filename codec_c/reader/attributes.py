@@ -51,6 +51,7 @@ class Channel:
     span: int = 0
     mixed: bool = False
     known: bool = False
+    sided: bool = False
     classes: list[int] = field(default_factory=lambda: 64 * [0])
     tables: list[FrequencyTable] = field(default_factory=list)
 
@@ -89,10 +90,13 @@ class HeaderDecoder:
             channel.gain = self.number("gain", 0, 65535)
             channel.weights = tuple(self.number(f"weight {k}", 0, 8191) for k in range(3))
             channel.span = self.number("span", 0, min(j, 2))
-            coder = self.number("coder", 0, 2)
-            channel.mixed, channel.known = coder == 1, coder == 2
+            coder = self.number("coder", 0, 3)
+            channel.mixed, channel.known, channel.sided = coder == 1, coder == 2, coder == 3
             check(not (channel.known and channel.taps), "a known channel with taps")
-            if coder == 0:
+            if channel.sided:
+                others = all(k < j for k, _, _ in channel.taps) and not any(channel.weights)
+                check(bool(channel.taps) and others, "a sided channel looks at itself")
+            if channel.sided or coder == 0:
                 self.read_classes(channel)
         if not (channel.mixed or channel.known):
             channel.tables = [self.table() for _ in range(max(channel.classes) + 1)]
@@ -102,7 +106,8 @@ class HeaderDecoder:
         """The class of each of the 64 cells."""
         last = 0
         for cell in range(1, 64):
-            never = (cell != 32 and not any(channel.weights)) or (cell >= 32 and channel.span == 0)
+            levels = channel.sided or any(channel.weights)
+            never = (cell != 32 and not levels) or (cell >= 32 and channel.span == 0)
             if not never:
                 last += self.kind("class").decide(0)
                 check(last < 16, "more than 16 classes")
@@ -195,8 +200,7 @@ class LiteralBits:
     def take(self, count: int) -> int:
         """The next `count` bits."""
         check(count <= self.left, "the literals are cut")
-        self.left -= count
-        value = self.bits & (1 << count) - 1
+        self.left, value = self.left - count, self.bits & (1 << count) - 1
         self.bits >>= count
         return value
 
@@ -272,7 +276,11 @@ class TableChunk:
 
     def predict(self, channel: Channel, i: int) -> int:
         """The sum of the terms at row i and one half (7.2); v' of earlier rows must be known."""
-        total = 512
+        return wrap(self.terms(channel, i) + 512)
+
+    def terms(self, channel: Channel, i: int) -> int:
+        """The sum of the terms at row i."""
+        total = 0
         for k, row, factor in channel.taps:
             if row == NEAR:
                 total += factor * sum(self.clamped[k][e] for e in self.near[i])
@@ -292,7 +300,9 @@ class TableChunk:
                 total += 2 * w0 * magnitude(own[i - 1], gain)
             if i > first + 1:
                 total += w0 * magnitude(own[i - 2], gain)
-            return bisect_right(THRESHOLDS, total >> 10) + 32 * any(s[i] for s in others)
+            sides = min(abs(self.terms(channel, i)) >> 8, 31)
+            level = sides if channel.sided else bisect_right(THRESHOLDS, total >> 10)
+            return level + 32 * any(s[i] for s in others)
 
         return cell
 
@@ -321,8 +331,9 @@ class TableChunk:
                 count = 5 + (s - 128) // 4
                 z = (4 + (s - 128) % 4 << count) + self.literals.take(count)
             total, residual = self.predict(channel, i), unzigzag(z)
-            up = total % 1024 < 512
-            self.set_value(i, wrap((total >> 10) - residual if up else (total >> 10) + residual))
+            minus = self.terms(channel, i) < 0 if channel.sided else total % 1024 < 512
+            prediction = 0 if channel.sided else total >> 10
+            self.set_value(i, wrap(prediction - residual if minus else prediction + residual))
 
     def decode_mixed(self, channel: Channel) -> None:
         """A mixed channel (7.5)."""
@@ -346,10 +357,11 @@ class Attributes:
         check(len(header) > 0, "no header of attributes")
         self.mode, self.columns = header[0], columns
         alone = self.mode in (0, 2) and len(header) == 1
-        check(self.mode == 1 or alone, f"a header of mode {self.mode}")
+        check(self.mode == 1 or alone, f"mode {self.mode}")
         self.channels = HeaderDecoder(header[1:]).decode(columns) if self.mode == 1 else []
         wanted = [False] * len(self.channels) if known is None else known
         check([c.known for c in self.channels] == wanted, "other channels are known")
+        check(any(wanted) or not any(c.sided for c in self.channels), "a sided channel elsewhere")
 
     @property
     def looks_near(self) -> bool:

@@ -15,6 +15,7 @@ import numpy as np
 
 from clgs import _codec
 from clgs.codec import attribute_search, octree, row_coder
+from clgs.codec.attribute_model import SIDED, find_sides
 from clgs.codec.meta import pack_weights
 from clgs.codec.reader import SceneReader
 from clgs.codec.sections import BytesSource, read_container
@@ -127,10 +128,16 @@ def attribute_seeds(
 def known_seeds(name: str, value: np.ndarray) -> Iterator[Seed]:
     """The values with every second channel known, which others look at."""
     value = np.resize(value, (len(value), 3))
-    chunks = attribute_search.RowChunks(value, [slice(0, len(value))], None, np.arange(3) % 2 == 0)
+    chunks = attribute_search.RowChunks(value, [slice(0, len(value))], None, 3)
     plain, _ = attribute_search.fit(chunks, search=True)
+    sided = plain.copy()
+    before = np.arange(len(value))[:, None] - np.arange(1, 5)
+    find_sides(sided, value, before.astype(np.int32), 3, 2)
+    sided["coder"][1], sided["weight"][1], sided["span"][1] = SIDED, 0, 1
+    chunks.choose(sided)
     for kind, tables in (
         ("tables", plain),
+        ("sided", sided),
         ("mixed", attribute_search.mix_all(plain, chunks.sample())),
     ):
         model = row_coder.table_model(tables)

@@ -71,14 +71,15 @@ static void make_model(stream *s, int32_t other)
         clgs_channel *c = s->model + j;
         int32_t before = (int32_t)j;
         c->centre = before - 1;
-        c->coder = other == CLGS_KNOWN && j % 2 == 1 ? CLGS_KNOWN : CLGS_STATIC;
+        c->coder = other > CLGS_MIXED && j % 2 == 1 ? other : CLGS_STATIC;
+        int32_t last = before - (c->coder == CLGS_SIDED); /* channel that a tap may have */
         c->taps = c->coder == CLGS_KNOWN ? 0 : before % 4;
         for (int32_t t = 0; t < c->taps; t++)
             c->tap[t] =
-                (clgs_tap){t < before ? t : before, t == 0 ? CLGS_TAP_NEAR : t - 2, 100 - 60 * t};
+                (clgs_tap){t < last ? t : last, t == 0 ? CLGS_TAP_NEAR : t - 2, 100 - 60 * t};
         c->gain = 40;
-        c->weight[0] = before % 2 ? 1000 : 0;
-        c->weight[1] = c->weight[2] = before % 3 ? 500 : 0;
+        c->weight[0] = c->coder != CLGS_SIDED && before % 2 ? 1000 : 0;
+        c->weight[1] = c->weight[2] = c->coder != CLGS_SIDED && before % 3 ? 500 : 0;
         c->span = before % 3 < before ? before % 3 : 0;
         c->classes = 1;
         c->frequency[0][0] = CLGS_SCALE;
@@ -359,7 +360,7 @@ static void test_bad_near(void)
 int main(void)
 {
     test_largest_header();
-    for (int32_t other = CLGS_STATIC; other <= CLGS_KNOWN; other++) {
+    for (int32_t other = CLGS_STATIC; other <= CLGS_SIDED; other++) {
         test_stream(1, 1, 27, other);
         test_stream(other == CLGS_KNOWN ? 8 : 7, 5, 20, other);
         test_stream(60, 4, 27, other);

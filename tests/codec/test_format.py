@@ -194,6 +194,21 @@ def test_examples_of_attributes(number: int) -> None:
     np.testing.assert_array_equal(reader.decode(chunk, len(rows)), rows)
 
 
+def test_example_of_a_sided_channel() -> None:
+    header, data = documented("13a")
+    quotient, rest = [0, 1, 0, -1, 0, 1, -1, 0], [0, -1, 1, 1, 0, 0, 1, -1]
+    rows, known = np.stack([quotient, rest], 1).astype(np.int32), np.array([True, False])
+    model = row_coder.read(header, 2, known)
+    assert model.encode(rows) == data
+    assert row_coder.table_model(model.tables).header == header
+    there = np.stack([quotient, [0] * 8], 1).astype(np.int32)
+    np.testing.assert_array_equal(model.decode(data, 8, None, there.copy()), rows)
+    reader = reader_attributes.Attributes(header, 2, known.tolist())
+    np.testing.assert_array_equal(reader.decode(data, 8, None, there), rows)
+    with pytest.raises(ValueError, match="other channels are known"):
+        row_coder.read(header, 2)
+
+
 def test_example_of_near_rows() -> None:
     text, (header, chunk) = section_of(17), documented(17)
     triples = re.findall(r"\((\d) (\d) (\d)\)", text)

@@ -12,11 +12,11 @@ import pytest
 
 from clgs import _codec, codec
 from clgs.codec import chunks, row_coder
-from clgs.codec.attribute_model import KNOWN, MIXED, empty_model
+from clgs.codec.attribute_model import KNOWN, MIXED, SIDED, empty_model
 from clgs.codec.meta import LEVELS
 from clgs.codec.reader import SceneReader
 from clgs.codec.scene_decoder import decode, describe
-from clgs.codec.scene_encoder import encode
+from clgs.codec.scene_encoder import encode, sort_anchors
 from clgs.codec.sections import BytesSource, read_table
 from clgs.codec.splat_packing import QuantizedSplats, is_splats, pack, unpack
 from clgs.errors import CodecError
@@ -120,10 +120,12 @@ def test_details_of_whole_files_and_of_files_that_are_cut(level: str) -> None:
 @pytest.mark.slow
 def test_details_in_eight_lanes_of_which_some_channels_are_mixed() -> None:
     scene = small_scene(3000)
+    scene.anchors = sort_anchors(scene.anchors)
     scene.anchors.feature[:, 8:], scene.anchors.offset[:], scene.anchors.scaling[:] = 0, 2, 1
+    scene.anchors.feature[:, 7] = np.arange(len(scene.anchors)) // 40 % 7 - 3
     data = encode(scene, "max", chunk=65536, layers=2, details=True)
     models = details_of(data)
-    assert {int(coder) for coder in models["FEAT"].tables["coder"]} == {0, 1, 2}
+    assert {int(coder) for coder in models["FEAT"].tables["coder"]} == {0, MIXED, KNOWN, SIDED}
     assert_scene(data)
 
 
@@ -141,6 +143,21 @@ def test_details_of_other_steps(step: int, monkeypatch: pytest.MonkeyPatch) -> N
     data = encode(scene, chunk=16, layers=2, details=True)
     assert contents(data)["DETL"][:4] == struct.pack("<I", step)
     assert_scene(data)
+
+
+def test_a_sided_channel_that_looks_at_itself_is_refused() -> None:
+    model = empty_model(2)
+    model["coder"], model["frequency"][0] = (KNOWN, SIDED), 0
+    model["taps"][1], model["tap"][1, 0] = 1, (0, 0, -768)
+    known = np.array([True, False])
+    for channel, row, weight, fine in ((0, 3, 0, True), (1, -1, 0, False), (0, 0, 5, False)):
+        model["tap"][1, 0, :2], model["weight"][1, 0] = (channel, row), weight
+        if fine:
+            header = _codec.attributes_header(model)
+            assert Attributes(header, 2, known.tolist()).channels[1].sided
+            continue
+        with pytest.raises(ValueError, match="the array cannot be encoded"):
+            _codec.attributes_header(model)
 
 
 def test_known_channels_that_are_no_details_are_refused() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from clgs import _codec
 from clgs.codec import row_coder
-from clgs.codec.attribute_model import KNOWN, empty_model
+from clgs.codec.attribute_model import KNOWN, SIDED, empty_model
 from clgs.codec.chunks import ROWS, TAGS, known_channels, pack_details
 from clgs.codec.reader import SceneReader
 from clgs.codec.scene_decoder import decode, describe
@@ -192,11 +192,14 @@ def test_chunks_whose_checksums_are_right_are_not_believed(library, data):
     assert all("copy" in words for words in said)
 
 
-def zeros_with(channels, known):
-    """A model of channels that are always 0, some of them known."""
+def zeros_with(channels, known, sided=()):
+    """A model of channels that are always 0, some of them known, some sided by the one before."""
     model = empty_model(channels)
     model["coder"][known] = KNOWN
     model["frequency"][known] = 0
+    for channel in sided:
+        model["coder"][channel], model["taps"][channel] = SIDED, 1
+        model["tap"][channel, 0] = channel - 1, 0, -768
     return row_coder.table_model(model)
 
 
@@ -208,7 +211,8 @@ MODELS = {
     "first": zeros_with(100, [0]),
     "not the first": zeros_with(100, EVEN[1:]),
     "an odd one too": zeros_with(100, [*EVEN, 7]),
-    "as it must be": zeros_with(100, EVEN),
+    "sided, none known": zeros_with(100, [], [1]),
+    "as it must be": zeros_with(100, EVEN, [1, 99]),
 }
 
 
@@ -242,12 +246,12 @@ def test_cut_headers_of_details_are_refused(library, data, cut):
         native.Page(library, with_details(data, shorten))
 
 
-@pytest.mark.parametrize("known", [[], [0], EVEN[:25]])
-def test_headers_of_chunks_must_know_nothing(library, known):
+@pytest.mark.parametrize(("known", "sided"), [([], []), ([0], []), (EVEN[:25], []), ([], [3])])
+def test_headers_of_chunks_must_know_nothing(library, known, sided):
     """Their values would be read from memory that was never set."""
     scene = random_scene(np.random.default_rng(2), 300)
     scene.anchors.feature[:] = 0
-    data, model, column = encode(scene), zeros_with(50, known), TAGS.index("FEAT")
+    data, model, column = encode(scene), zeros_with(50, known, sided), TAGS.index("FEAT")
     stream = model.encode(scene.anchors.feature)
 
     def of_the_model(shared, crcs, table):
@@ -255,7 +259,7 @@ def test_headers_of_chunks_must_know_nothing(library, known):
         table[:, 7 + column] = len(stream)
 
     other = rebuilt(data, FEAT=model.header + stream, CHNK=directory(data, of_the_model))
-    if not known:
+    if not known and not sided:
         assert native.Page(library, other).layers == (1, 1)
         return
     with pytest.raises(ValueError, match="attributes are damaged"):

@@ -35,6 +35,15 @@ static size_t channels_with(const clgs_channel *channel, size_t channels, int32_
     return count;
 }
 
+static size_t channels_with_tables(const clgs_channel *channel, size_t channels)
+{
+    size_t count = 0;
+    for (size_t j = 0; j < channels; j++)
+        if (clgs_has_tables(channel + j))
+            count++;
+    return count;
+}
+
 size_t clgs_attributes_bound(const void *model, size_t rows, size_t channels)
 {
     if (cell_count(rows, channels) == 0)
@@ -79,8 +88,7 @@ static size_t stage(clgs_columns *columns, uint8_t *cells, uint8_t *out)
 {
     clgs_literals literals = {.out = out};
     for (size_t j = 0; j < columns->channels; j++) {
-        clgs_literals_split(columns, j,
-                            columns->channel[j].coder == CLGS_STATIC ? &literals : NULL);
+        clgs_literals_split(columns, j, clgs_has_tables(columns->channel + j) ? &literals : NULL);
         if (columns->channel[j].classes > 1) {
             clgs_columns_cells(columns, j);
             memcpy(cells + j * columns->rows, columns->cell, columns->rows);
@@ -117,7 +125,7 @@ static uint8_t *encode_static(const clgs_columns *columns, const parts *p, int m
     for (size_t j = columns->channels; j-- > 0;) {
         const clgs_channel *channel = columns->channel + j;
         const uint8_t *cell = channel->classes > 1 ? p->cell + j * columns->rows : NULL;
-        if (channel->coder == CLGS_STATIC && !clgs_rans_encode(&coder, columns, j, cell))
+        if (clgs_has_tables(channel) && !clgs_rans_encode(&coder, columns, j, cell))
             return NULL;
     }
     if (more)
@@ -155,7 +163,7 @@ size_t clgs_attributes_encode(const void *model, const int32_t *value, const int
         return 0;
     clgs_columns_load(&columns, value);
     uint8_t *at = encode_literals(&columns, p.cell, out);
-    if (channels_with(model, channels, CLGS_STATIC) > 0)
+    if (channels_with_tables(model, channels) > 0)
         at = encode_static(&columns, &p, mixed > 0, at);
     if (at && mixed > 0)
         at = encode_mixed(&columns, p.mixed, at, out + capacity);
@@ -199,7 +207,7 @@ static clgs_error decode_columns(clgs_columns *columns, decoder *d)
         clgs_mixed_init(d->mixed);
     for (size_t j = 0; j < columns->channels; j++) {
         int fine = 1;
-        if (columns->channel[j].coder == CLGS_STATIC) {
+        if (clgs_has_tables(columns->channel + j)) {
             fine = decode_static(columns, d, j);
         } else if (columns->channel[j].coder == CLGS_KNOWN) {
             clgs_literals_split(columns, j, NULL);
@@ -213,7 +221,7 @@ static clgs_error decode_columns(clgs_columns *columns, decoder *d)
         clgs_columns_activate(columns, j);
     }
     clgs_error error = mixed > 0 ? clgs_range_end_decode(&d->range) : CLGS_OK;
-    size_t tables = channels_with(columns->channel, columns->channels, CLGS_STATIC);
+    size_t tables = channels_with_tables(columns->channel, columns->channels);
     return error || tables == 0 ? error : finish(&d->rans, &d->literals);
 }
 
@@ -239,7 +247,7 @@ static clgs_error open_chunk(decoder *d, const clgs_columns *columns, const uint
     d->literals = (clgs_literals){.at = at, .end = at + size};
     at += size;
     size = (size_t)(end - at);
-    if (channels_with(columns->channel, columns->channels, CLGS_STATIC) > 0) {
+    if (channels_with_tables(columns->channel, columns->channels) > 0) {
         if (mixed > 0 && !(at = load_size(at, end, &size)))
             return CLGS_ERROR_TRUNCATED;
         error = clgs_rans_begin_decode(&d->rans, columns->lanes, at, at + size);

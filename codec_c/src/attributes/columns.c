@@ -2,6 +2,7 @@
 
 #include <string.h>
 
+#include "attributes/predict.h"
 #include "common/bytes.h"
 
 #define TILE 64 /* rows that are transposed together, a multiple of 8 */
@@ -276,7 +277,9 @@ void clgs_columns_cells(clgs_columns *columns, size_t j)
 {
     const int32_t *weight = columns->channel[j].weight;
     clgs_columns_partial(columns, j);
-    if (weight[0])
+    if (columns->channel[j].coder == CLGS_SIDED)
+        clgs_columns_add_levels(columns, j);
+    else if (weight[0])
         for (size_t lane = 0; lane < columns->lanes; lane++)
             own_cells(columns, j, clgs_lane_start(columns, lane),
                       clgs_lane_start(columns, lane + 1));

@@ -40,7 +40,7 @@ int clgs_has_literals(const clgs_channel *channel)
     for (int32_t k = 0; k < channel->classes; k++)
         for (uint32_t s = CLGS_DIRECT; s < CLGS_ALPHABET; s++)
             sum += channel->frequency[k][s];
-    return channel->coder == CLGS_STATIC && sum > 0;
+    return clgs_has_tables(channel) && sum > 0;
 }
 
 static uint32_t large_zigzag(uint32_t symbol, uint32_t literal)

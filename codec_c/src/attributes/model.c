@@ -83,11 +83,11 @@ static void code_taps(header *h, clgs_channel *channel, int32_t j)
     }
 }
 
-/* Whether a cell can occur: levels need a weight, the upper half needs a span. */
+/* Whether a cell can occur; the upper half needs a span. */
 static int reachable(const clgs_channel *channel, uint32_t cell)
 {
-    int weighs = channel->weight[0] || channel->weight[1] || channel->weight[2];
-    return (weighs || cell % CLGS_LEVELS == 0) && (channel->span > 0 || cell < CLGS_LEVELS);
+    return (clgs_has_levels(channel) || cell % CLGS_LEVELS == 0) &&
+           (channel->span > 0 || cell < CLGS_LEVELS);
 }
 
 /* Which cells start a class; cells that cannot occur have class 0. */
@@ -161,8 +161,8 @@ static void code_channel(header *h, clgs_channel *channel, int32_t j)
             code_within(h, FIELD_WEIGHT + i, channel->weight[i], 0, CLGS_MAX_WEIGHT);
     channel->span =
         code_within(h, FIELD_SPAN, channel->span, 0, j < CLGS_MAX_SPAN ? j : CLGS_MAX_SPAN);
-    channel->coder = code_within(h, FIELD_CODER, channel->coder, CLGS_STATIC, CLGS_KNOWN);
-    if (channel->coder != CLGS_STATIC) {
+    channel->coder = code_within(h, FIELD_CODER, channel->coder, CLGS_STATIC, CLGS_SIDED);
+    if (!clgs_has_tables(channel)) {
         channel->classes = 1;
         return;
     }
@@ -233,11 +233,13 @@ clgs_error clgs_attributes_header_read(const uint8_t *data, size_t size, void *m
 int clgs_attributes_known(const void *model, size_t channels)
 {
     const clgs_channel *channel = model;
-    size_t known[2] = {0}; /* of even and of odd number */
-    for (size_t j = 0; j < channels; j++)
+    size_t known[2] = {0}, sided = 0; /* known: of even and of odd number */
+    for (size_t j = 0; j < channels; j++) {
         known[j % 2] += channel[j].coder == CLGS_KNOWN;
+        sided += channel[j].coder == CLGS_SIDED;
+    }
     if (known[0] + known[1] == 0)
-        return 0;
+        return sided ? -1 : 0;
     return known[0] == (channels + 1) / 2 && known[1] == 0 ? 1 : -1;
 }
 
@@ -260,13 +262,26 @@ static int taps_valid(const clgs_channel *channel, int32_t j)
     return 1;
 }
 
-static int tables_valid(const clgs_channel *channel)
+/* Sided channels look at others alone, so that a decoder knows their terms before their symbols. */
+static int sided_valid(const clgs_channel *channel, int32_t j)
+{
+    if (channel->taps == 0 || channel->weight[0] || channel->weight[1] || channel->weight[2])
+        return 0;
+    for (int32_t t = 0; t < channel->taps; t++)
+        if (channel->tap[t].channel == j)
+            return 0;
+    return 1;
+}
+
+static int tables_valid(const clgs_channel *channel, int32_t j)
 {
     if (channel->coder == CLGS_MIXED)
         return channel->classes == 1;
     if (channel->coder == CLGS_KNOWN)
         return channel->classes == 1 && channel->taps == 0;
-    if (channel->coder != CLGS_STATIC || !within(channel->classes, 1, CLGS_CLASSES))
+    if (channel->coder == CLGS_SIDED && !sided_valid(channel, j))
+        return 0;
+    if (!clgs_has_tables(channel) || !within(channel->classes, 1, CLGS_CLASSES))
         return 0;
     for (uint32_t cell = 0; cell < CLGS_CELLS; cell++)
         if (channel->class_of[cell] >= channel->classes)
@@ -291,7 +306,7 @@ int clgs_model_valid(const clgs_channel *channel, size_t channels)
             !within(c->weight[1], 0, CLGS_MAX_WEIGHT) ||
             !within(c->weight[2], 0, CLGS_MAX_WEIGHT) ||
             !within(c->span, 0, before < CLGS_MAX_SPAN ? before : CLGS_MAX_SPAN) ||
-            !tables_valid(c))
+            !tables_valid(c, before))
             return 0;
     }
     return 1;

@@ -30,8 +30,10 @@
 #define CLGS_SCALE_BITS 12
 #define CLGS_SCALE (1u << CLGS_SCALE_BITS)
 
-/* Known channels are not coded: both sides have their values, and others may look at them. */
-enum { CLGS_STATIC = 0, CLGS_MIXED = 1, CLGS_KNOWN = 2 };
+/* Known channels are not coded: both sides have their values, and others may look at them. Sided
+ * ones have tables, too; how far their terms are from 0 chooses these, and their sign is that of
+ * residuals. */
+enum { CLGS_STATIC = 0, CLGS_MIXED = 1, CLGS_KNOWN = 2, CLGS_SIDED = 3 };
 
 typedef struct clgs_tap {
     int32_t channel; /* this one or an earlier one */
@@ -59,10 +61,22 @@ _Static_assert(sizeof(clgs_channel) == 57 * 4 + CLGS_CELLS + CLGS_CLASSES * CLGS
 /* Whether every field is in range, so that chunks can follow the model without further checks. */
 int clgs_model_valid(const clgs_channel *channel, size_t channels);
 
+static inline int clgs_has_tables(const clgs_channel *channel)
+{
+    return channel->coder == CLGS_STATIC || channel->coder == CLGS_SIDED;
+}
+
+/* Whether levels of more than one number occur among the cells of a channel's symbols. */
+static inline int clgs_has_levels(const clgs_channel *channel)
+{
+    return channel->weight[0] || channel->weight[1] || channel->weight[2] ||
+           channel->coder == CLGS_SIDED;
+}
+
 /* Whether a channel's symbols fall into more than one cell. */
 static inline int clgs_has_cells(const clgs_channel *channel)
 {
-    return channel->span || channel->weight[0] || channel->weight[1] || channel->weight[2];
+    return channel->span || clgs_has_levels(channel);
 }
 
 /* Literal bits that follow a symbol of CLGS_DIRECT or more. */

@@ -3,6 +3,7 @@
 #include <string.h>
 
 #define BLOCK 2048 /* rows of which terms are summed together */
+#define SIDED_BITS (CLGS_SUM_BITS - 2)
 
 static int32_t clamp(int32_t value)
 {
@@ -114,8 +115,21 @@ void clgs_columns_predict(clgs_columns *columns, size_t j)
         return;
     }
     add_taps(columns, j, 1);
+    const uint32_t *sum = clgs_columns_sums(columns);
+    int sided = columns->channel[j].coder == CLGS_SIDED;
     for (size_t i = 0; i < columns->rows; i++)
-        columns->residual[i] = clgs_tap_residual(value[i], clgs_columns_sums(columns)[i]);
+        columns->residual[i] =
+            sided ? clgs_sided(value[i], sum[i]) : clgs_tap_residual(value[i], sum[i]);
+}
+
+void clgs_columns_add_levels(clgs_columns *columns, size_t j)
+{
+    clgs_columns_add_taps(columns, j);
+    for (size_t i = 0; i < columns->rows; i++) {
+        uint32_t sum = clgs_columns_sums(columns)[i];
+        uint32_t level = (clgs_signed(sum) < 0 ? 0 - sum : sum) >> SIDED_BITS;
+        columns->cell[i] |= (uint8_t)(level < CLGS_LEVELS ? level : CLGS_LEVELS - 1);
+    }
 }
 
 /* Values of column j, whose own terms look at near rows at most. */
@@ -140,6 +154,11 @@ void clgs_columns_restore(clgs_columns *columns, size_t j)
     if (columns->channel[j].taps == 0)
         return;
     clgs_columns_add_taps(columns, j);
+    if (columns->channel[j].coder == CLGS_SIDED) {
+        for (size_t i = 0; i < columns->rows; i++)
+            value[i] = clgs_sided(value[i], clgs_columns_sums(columns)[i]);
+        return;
+    }
     clgs_columns_own_factors(columns, j, own);
     if (!own[1] && !own[2] && !own[3]) {
         restore_near(columns, j, own[-CLGS_TAP_NEAR]);

@@ -26,6 +26,9 @@ _Static_assert(CLGS_NEAR << CLGS_FACTOR_BITS == 1 << CLGS_SUM_BITS, "sums of nea
 void clgs_columns_add_taps(clgs_columns *columns, size_t j);
 void clgs_columns_own_factors(const clgs_columns *columns, size_t j, uint32_t own[CLGS_OWN]);
 
+/* Levels of a sided column's cells: its terms in quarters. */
+void clgs_columns_add_levels(clgs_columns *columns, size_t j);
+
 /* Prepare column j, whose values must be known, for the terms that look at it. */
 void clgs_columns_serve(clgs_columns *columns, size_t j);
 
@@ -55,6 +58,12 @@ static inline int32_t clgs_tap_residual(int32_t value, uint32_t sum)
 {
     uint32_t off = (uint32_t)value - (uint32_t)clgs_tap_rounded(sum);
     return clgs_signed(clgs_tap_rounds_up(sum) ? 0 - off : off);
+}
+
+/* Of sided channels: the residual of a value, or the reverse. */
+static inline int32_t clgs_sided(int32_t value, uint32_t sum)
+{
+    return clgs_signed(clgs_signed(sum) < 0 ? 0 - (uint32_t)value : (uint32_t)value);
 }
 
 /* The value of such a residual. */

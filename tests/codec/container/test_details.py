@@ -11,9 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from clgs.codec import attribute_search
+from clgs.codec.attribute_model import SIDED
+from clgs.codec.reader import SceneReader
 from clgs.codec.scene_decoder import decode, decode_box, describe
 from clgs.codec.scene_encoder import encode, sort_anchors
-from clgs.codec.sections import BytesSource, FileSource
+from clgs.codec.sections import BytesSource, FileSource, read_table
 from clgs.codec.smaller import choose_layers
 from clgs.errors import CodecError, UsageError
 from clgs.scene.anchors import take
@@ -51,6 +54,19 @@ def rounded(scene):
         if name != "position"
     }
     return replace(scene, anchors=replace(anchors, **nearest))
+
+
+def test_details_that_other_attributes_foretell_take_fewer_bytes(monkeypatch):
+    scene = random_scene(np.random.default_rng(22), 1500)
+    feature = scene.anchors.feature
+    feature[:, 0] *= 3
+    feature[:, 1:] = feature[:, :1] + np.clip(feature[:, 1:], -3, 3)
+    data = encode(scene, layers=2, details=True)
+    reader = SceneReader(BytesSource(data), read_table(BytesSource(data)))
+    coders = reader.detail_model("FEAT").tables["coder"][3::2]
+    assert (coders == SIDED).mean() > 0.7
+    monkeypatch.setattr(attribute_search, "choose_sided", lambda *arguments: None)
+    assert len(data) + 500 < len(encode(scene, layers=2, details=True))
 
 
 def decode_quietly(data):
