@@ -33,6 +33,10 @@ _DOWNLOAD = "download the file and read its bytes"
 _OTHER_LENGTH = f"the answer is not as long as its range; {_DOWNLOAD}"
 
 
+class BrokenConnectionError(DataError):
+    """Nothing answers at an address, or what it sends breaks off."""
+
+
 class HttpSource:
     """The bytes of a file at ``url``; threads may share it. ``bytes_read`` counts those received.
 
@@ -89,7 +93,7 @@ class HttpSource:
         except (OSError, http.client.HTTPException, ValueError) as error:
             self.close()
             problem = " ".join(str(error).split()) or type(error).__name__
-            raise DataError(
+            raise BrokenConnectionError(
                 f"{self._url}: not read ({problem}); look at the address, or try again"
             ) from None
         if more:
@@ -97,7 +101,7 @@ class HttpSource:
             raise DataError(f"{self._url}: {_OTHER_LENGTH}")
         if len(data) != size:
             self.close()
-            raise DataError(f"{self._url}: the answer is cut; try again")
+            raise BrokenConnectionError(f"{self._url}: the answer is cut; try again")
         self.bytes_read += size
         return data
 

@@ -17,7 +17,7 @@ from clgs.arguments import check_integer
 from clgs.codec import octree
 from clgs.codec.attribute_model import NearRows
 from clgs.codec.chunks import Chunk, interleave, times
-from clgs.codec.http_source import HttpSource
+from clgs.codec.http_source import BrokenConnectionError, HttpSource
 from clgs.codec.meta import array_hash, content_arrays, content_hash, join_hashes
 from clgs.codec.reader import CHANNELS, SceneReader
 from clgs.codec.row_coder import RowModel
@@ -59,14 +59,16 @@ def decode(
     Args:
         data: a whole file; one in layers may be cut after the first layer, and a UserWarning then
             says which layers it has. Or the http or https address of one: only what is needed is
-            read, by range requests, and checked by the checksums of chunks.
+            read, by range requests, and checked by the checksums of chunks. If the connection
+            breaks, the layers that have come are the scene, with a UserWarning, too.
         threads: at most this many, by default one per processor.
         layers: of a file in layers, only this many, from the first on; others have one.
         box: only the anchors in it.
 
     Raises:
         CodecError: not a .clgs file, of an unknown version, cut, or damaged anywhere.
-        DataError: nothing answers at the address, or not with the range that was asked for.
+        DataError: nothing answers at the address, not with the range that was asked for, or the
+            connection breaks before the first layer has come.
         TypeError: ``data`` is neither bytes nor an address, or ``box`` no box.
         UsageError: the number of layers is below 1, or above what the file was made with.
     """
@@ -130,13 +132,35 @@ def choose_layers(reader: SceneReader, layers: int | None) -> ChosenLayers:
         return ChosenLayers(1, reader.head.count, True)
     there = reader.whole_layers()
     if there < (layers or count):
-        names = "layer 1" if there == 1 else f"layers 1 to {there}"
-        has = f"it has {names} of {count}, a coarser scene"
-        warnings.warn(f"the file is cut; {has}", stacklevel=3)
+        warnings.warn(f"the file is cut; {_coarser(there, count)}", stacklevel=3)
     used = min(layers or count, there)
     ends = reader.layer_ends()
     details = used > len(ends)
     return ChosenLayers(used, ends[min(used, len(ends)) - 1], used == count, details)
+
+
+def _coarser(there: int, count: int) -> str:
+    names = "layer 1" if there == 1 else f"layers 1 to {there}"
+    return f"it has {names} of {count}, a coarser scene"
+
+
+def _fetch(reader: SceneReader, chunks: list[Chunk], chosen: ChosenLayers) -> ChosenLayers:
+    """Read those of ``chunks`` that are of ``chosen`` layers; the layers that have come.
+
+    Raises:
+        BrokenConnectionError: that is none.
+    """
+    for number, (first, end) in enumerate(pairwise([0, *reader.layer_ends()])):
+        if end > chosen.chunks:
+            break
+        try:
+            reader.fetch([chunk for chunk in chunks if first <= chunk.number < end])
+        except BrokenConnectionError as error:
+            if number == 0:
+                raise
+            warnings.warn(f"{error}; {_coarser(number, reader.layer_count)}", stacklevel=4)
+            return ChosenLayers(number, first, False)
+    return chosen
 
 
 def _in_order(reader: SceneReader, anchors: QuantizedAnchors) -> QuantizedAnchors:
@@ -167,7 +191,6 @@ def decode_box(
     """
     reader = SceneReader(source, read_table(source))
     chosen = choose_layers(reader, layers)
-    everything = chosen.whole and box == EVERYWHERE
 
     def world(position: npt.NDArray[np.integer[Any]]) -> npt.NDArray[np.float64]:
         """Positions (A, 3) in the units of the input data; on each axis it never decreases."""
@@ -176,19 +199,25 @@ def decode_box(
     with workers(threads) as pool:
         weights = pool.submit(reader.weights)
         met = reader.chunks(lambda least, greatest: box.meets(world(least), world(greatest)))
-        chunks = [chunk for chunk in met if chunk.number < chosen.chunks]
         if reader.layers:
-            reader.fetch(chunks)
+            chosen = _fetch(reader, met, chosen)
+        chunks = [chunk for chunk in met if chunk.number < chosen.chunks]
         positions = _decode_positions(reader, chunks, pool)
         inside = [box.holds(world(position)) for position in positions]
         used = [i for i, kept in enumerate(inside) if kept.any()]
         filled = [chunks[i] for i in used]
         anchors = _decode_rows(reader, filled, [positions[i] for i in used], pool)
         if chosen.details:
-            reader.fetch(filled, details=True)
-            anchors = _add_details(reader, filled, anchors, pool)
+            try:
+                reader.fetch(filled, details=True)
+                anchors = _add_details(reader, filled, anchors, pool)
+            except BrokenConnectionError as error:
+                there, count = chosen.count - 1, reader.layer_count
+                warnings.warn(f"{error}; {_coarser(there, count)}", stacklevel=3)
+                chosen = ChosenLayers(there, chosen.chunks, False)
     kept = np.concatenate([np.empty(0, bool), *(inside[i] for i in used)])
     anchors, flat = _in_order(reader, take(anchors, kept)), weights.result()
+    everything = chosen.whole and box == EVERYWHERE
     if everything and content_hash(anchors, flat) != reader.meta.content_hash:
         raise reader.error(META, "the decoded integers do not match their hash")
     return reader.scene(anchors, flat)

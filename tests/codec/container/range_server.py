@@ -12,14 +12,17 @@ CLAIMED = 1 << 56
 
 
 @contextmanager
-def serve(files: dict[str, bytes], ranges: bool = True, way: str = "") -> Iterator[str]:
+def serve(
+    files: dict[str, bytes], ranges: bool = True, way: str = "", limit: int = CLAIMED
+) -> Iterator[str]:
     """The address that the names of ``files`` are added to; /moved leads to a file of the disk.
 
     way: "pieces": answers come in pieces without a length; "long": they are longer than their
     range; "packed": they say that they are; "leaving": the connection ends after each one,
     unannounced; "huge": all files are said to have CLAIMED bytes, and answers are cut; "unknown":
-    the size of files is not said.
+    the size of files is not said. limit: bytes of files that are sent before connections break.
     """
+    left = limit
 
     class Handler(BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
@@ -53,8 +56,10 @@ def serve(files: dict[str, bytes], ranges: bool = True, way: str = "") -> Iterat
             if way == "packed":
                 self.send_header("Content-Encoding", "gzip")
             self.end_headers()
-            self.wfile.write(part)
-            self.close_connection |= way in ("leaving", "huge")
+            nonlocal left
+            self.wfile.write(part[:left])
+            self.close_connection |= way in ("leaving", "huge") or left < len(part)
+            left = max(left - len(part), 0)
 
         def log_message(self, *_: object) -> None:
             pass

@@ -44,6 +44,26 @@ def test_a_file_that_is_cut_at_the_server_is_a_coarser_scene(data):
         assert_same(decode(url + "s.clgs"), decode(data, layers=2))
 
 
+@pytest.mark.parametrize("details", [False, True])
+def test_what_has_come_before_a_connection_breaks_is_a_coarser_scene(details):
+    scene = random_scene(np.random.default_rng(5), 3000)
+    data = encode(scene, "fast", 64, layers=4, details=details)
+    ends = [layer["end"] for layer in describe(data)["layers"]]
+    assert ends[1] < FRONT < ends[2]
+    box = Box((-np.inf,) * 3, (-0.02, np.inf, np.inf))
+    for there, come in ((2, FRONT + 9), (3, FRONT + ends[2] - ends[1] + 9)):
+        said = rf"try again; it has layers 1 to {there} of 4, a coarser scene"
+        with serve({"s.clgs": data}, limit=come) as url, pytest.warns(UserWarning, match=said):
+            assert_same(decode(url + "s.clgs"), decode(data, layers=there))
+    cut = pytest.warns(UserWarning, match="layers 1 to 2 of 4")
+    with serve({"s.clgs": data}, limit=FRONT + 9) as url, cut:
+        assert_same(decode(url + "s.clgs", box=box), decode(data, layers=2, box=box))
+    with serve({"s.clgs": data}, limit=FRONT) as url:
+        assert_same(decode(url + "s.clgs", layers=1), decode(data, layers=1))
+    with serve({"s.clgs": data}, limit=1000) as url, pytest.raises(DataError, match="try again"):
+        decode(url + "s.clgs")
+
+
 def test_addresses_may_have_blanks_and_letters_of_all_alphabets(data):
     with serve({"%C3%BC%20b%20.clgs?x=%C3%BC": data}) as url:
         for address in ("ü b .clgs?x=ü", "%C3%BC%20b%20.clgs?x=%C3%BC"):
