@@ -85,6 +85,16 @@ def take_turns(
     return {key: times[warm_up:] for key, times in found.items()}
 
 
+def finished_times(device: Device, work: Callable[[], object], repeats: int) -> list[float]:
+    """Milliseconds of ``work``, with what it leaves to the device, after a run to warm up."""
+
+    def finish() -> None:
+        work()
+        device.finish()
+
+    return take_turns({"": finish}, repeats)[""]
+
+
 PANEL = (4.6, 3.4)
 """Inches."""
 

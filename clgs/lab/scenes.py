@@ -15,14 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.constants import FEATURE_DIM, K_OFFSETS
-from clgs.data.dataset import Dataset
-from clgs.data.images import Pixels
-from clgs.data.view import StoredPhoto, View
 from clgs.opencl.device import Device
 from clgs.scene.anchors import AnchorSet
 from clgs.scene.camera import Camera
 from clgs.scene.mlps import MLP_SIZE, Mlps, init_mlps, unpack_head
-from clgs.scene.scene import RenderSettings, Scene, SceneTransform
+from clgs.scene.scene import RenderSettings, Scene
 
 DRAWN_SHARE = 0.4
 """Share of slots with positive opacity, as in trained scenes."""
@@ -76,25 +73,6 @@ def anchor_scene(
     logits = hidden @ layers["output_weight"].T
     layers["output_bias"][:] = -np.quantile(logits, 1 - DRAWN_SHARE, axis=0)
     return Scene(anchors, mlps), camera
-
-
-def photo_dataset(camera: Camera, points: npt.NDArray[np.float32], seed: int = 0) -> Dataset:
-    """A data set of one smooth random photo seen by ``camera``; ``points`` (P, 3) to start from."""
-    rng = np.random.default_rng(seed)
-    coarse = rng.integers(0, 256, (camera.height // 8 + 1, camera.width // 8 + 1, 3))
-    image = np.kron(coarse, np.ones((8, 8, 1)))[: camera.height, : camera.width].astype(np.uint8)
-    photo = StoredPhoto.of(Pixels(np.ascontiguousarray(image), None))
-    view = View("synthetic", camera, photo)
-    return Dataset(
-        train=[view],
-        test=[],
-        points=points,
-        point_colors=None,
-        transform=SceneTransform(),
-        radius=1.0,
-        kind="transforms",
-        skipped=0,
-    )
 
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)

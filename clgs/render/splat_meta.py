@@ -103,10 +103,6 @@ def meta_of(
             return np.asarray(array[ids()[0], ids()[3]])
         return array.reshape(*shape, *array.shape[2:])
 
-    def conics() -> npt.NDArray[np.float32]:
-        r1, lean, r2 = np.moveaxis(projected("whitening", 3), -1, 0)
-        return np.stack([r1**2 + (lean * r2) ** 2, -lean * r2**2, r2**2], axis=-1)
-
     columns, rows = tile_count(size[0], 1), tile_count(1, size[1])
     known = {
         "tile_width": columns,
@@ -117,7 +113,19 @@ def meta_of(
         "n_batches": int(np.prod(batch)),
         "n_cameras": cameras,
     }
-    lists = _Lists(device, drawn, columns * rows, radii_of if packed else None)
+
+    def ranges(name: str, length: int) -> npt.NDArray[np.int32]:
+        found = [device.download(getattr(lists_of(device, one), name)) for one in drawn]
+        return np.array(found, np.int32).reshape(len(drawn), length + 1)
+
+    def offsets() -> npt.NDArray[np.int32]:
+        found = ranges("tile_range", columns * rows)
+        before = np.cumsum(found[:, -1]) - found[:, -1]
+        return (found[:, :-1] + before[:, None]).astype(np.int32)
+
+    def entries() -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
+        return _entries(device, drawn, columns * rows, radii_of() if packed else None)
+
     makers: dict[str, Callable[[], Any]] = {
         "batch_ids": lambda: ids()[1] if packed else None,
         "camera_ids": lambda: ids()[2] if packed else None,
@@ -125,53 +133,36 @@ def meta_of(
         "radii": lambda: shaped(radii_of()),
         "means2d": lambda: shaped(projected("mean2d", 2)),
         "depths": lambda: shaped(projected("depth")),
-        "conics": lambda: shaped(conics()),
+        "conics": lambda: shaped(conics_of(projected("whitening", 3))),
         "opacities": lambda: shaped(projected("opacity")),
-        "tiles_per_gauss": lambda: shaped(lists.counts().reshape(len(drawn), count)),
-        "isect_ids": lambda: lists.entries()[0],
-        "flatten_ids": lambda: lists.entries()[1],
-        "isect_offsets": lambda: lists.offsets().reshape(*batch, cameras, rows, columns),
+        "tiles_per_gauss": lambda: shaped(np.diff(ranges("row_range", count))),
+        "isect_ids": lambda: entries()[0],
+        "flatten_ids": lambda: entries()[1],
+        "isect_offsets": lambda: offsets().reshape(*batch, cameras, rows, columns),
     }
     return RasterizationMeta(known, makers)
 
 
-class _Lists:
-    """The tile lists of all pictures as one."""
+def conics_of(whitening: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """Inverse covariances (..., 3), xx, xy, yy, of whitening factors."""
+    r1, lean, r2 = np.moveaxis(whitening, -1, 0)
+    return np.stack([r1**2 + (lean * r2) ** 2, -lean * r2**2, r2**2], axis=-1)
 
-    def __init__(
-        self,
-        device: Device,
-        drawn: list[Drawn],
-        tiles: int,
-        radii: Callable[[], npt.NDArray[np.int32]] | None,
-    ) -> None:
-        """``radii`` (pictures, N, 2): of which rows count, None if all do."""
-        self.device, self.drawn, self.tiles, self.radii = device, drawn, tiles, radii
 
-    def counts(self) -> npt.NDArray[np.int32]:
-        """Entries (pictures, N)."""
-        found = [self.device.download(lists_of(self.device, d).row_range) for d in self.drawn]
-        return np.array([np.diff(one) for one in found], np.int32)
-
-    def offsets(self) -> npt.NDArray[np.int32]:
-        """First entry of every tile of every picture."""
-        found = [self.device.download(lists_of(self.device, d).tile_range) for d in self.drawn]
-        sizes = [one[-1] for one in found]
-        before = np.cumsum([0, *sizes])
-        return np.array([one[:-1] + b for one, b in zip(found, before, strict=False)], np.int32)
-
-    def entries(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
-        """isect_ids and flatten_ids."""
-        ids, flat = [np.empty(0, np.int64)], [np.empty(0, np.int32)]
-        number = None if self.radii is None else np.cumsum(self.radii()[..., 0].ravel() > 0) - 1
-        for picture, one in enumerate(self.drawn):
-            lists, count = lists_of(self.device, one), len(one.projected.opacity)
-            first = self.device.download(lists.tile_range)
-            gaussian = self.device.download(lists.gaussian)[: first[-1]]
-            depth = self.device.download(one.projected.depth)[gaussian].view(np.int32)
-            tile = np.repeat(np.arange(self.tiles, dtype=np.int64), np.diff(first))
-            image = np.int64(picture) << (self.tiles.bit_length() + 32)
-            ids.append(image | tile << 32 | depth)
-            row = picture * count + gaussian
-            flat.append((row if number is None else number[row]).astype(np.int32))
-        return np.concatenate(ids), np.concatenate(flat)
+def _entries(
+    device: Device, drawn: list[Drawn], tiles: int, radii: npt.NDArray[np.int32] | None
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32]]:
+    """isect_ids and flatten_ids; ``radii`` (pictures, N, 2): of which rows count, None: all do."""
+    ids, flat = [np.empty(0, np.int64)], [np.empty(0, np.int32)]
+    number = None if radii is None else np.cumsum(radii[..., 0].ravel() > 0) - 1
+    for picture, one in enumerate(drawn):
+        lists, count = lists_of(device, one), len(one.projected.opacity)
+        first = device.download(lists.tile_range)
+        gaussian = device.download(lists.gaussian)[: first[-1]]
+        depth = device.download(one.projected.depth)[gaussian].view(np.int32)
+        tile = np.repeat(np.arange(tiles, dtype=np.int64), np.diff(first))
+        image = np.int64(picture) << (tiles.bit_length() + 32)
+        ids.append(image | tile << 32 | depth)
+        row = picture * count + gaussian
+        flat.append((row if number is None else number[row]).astype(np.int32))
+    return np.concatenate(ids), np.concatenate(flat)

@@ -11,10 +11,9 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 from pathlib import Path
-from statistics import mean, median
 
 from clgs.data.origin import repose
-from clgs.lab.bench.step import STILL, render_times, stream_times
+from clgs.lab.bench.step import STILL, show, time_steps
 from clgs.lab.savings import savings
 from clgs.opencl.device import Device
 from clgs.train.config import from_toml
@@ -38,18 +37,8 @@ def main() -> None:
     dataset = repose(load_for(config, args.data, args.run), scene.transform)
     state = state_of_scene(device, dataset, config, scene.dequantize(), config.steps)
     trainer = Trainer(device, dataset, config, state=state)
-    print(f"{device.name}, {trainer.parameters.count} anchors")
-    for name, times in (
-        ("step", stream_times(trainer, args.steps)),
-        ("picture", render_times(trainer, args.steps)),
-    ):
-        print(f"{name}: median {median(times):.1f}, mean {mean(times):.1f} ms")
-    device.profile.enabled = True
-    stream_times(trainer, args.steps)
-    for name, calls, milliseconds, _ in device.profile.rows():
-        print(f"  {name:16} {milliseconds:8.2f} ms, {calls} calls")
-    for one in savings(trainer):
-        print(f"  {one.skip}: {one.done:,} of {one.without:,} {one.unit}")
+    title = f"{device.name}, {trainer.parameters.count} anchors"
+    show(title, time_steps(trainer, args.steps), savings(trainer))
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ import numpy.typing as npt
 import pyopencl as cl
 
 from clgs.constants import TILE_SIZE
-from clgs.lab.scenes import anchor_scene, photo_dataset
+from clgs.lab.scenes import anchor_scene
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import blend, cull, rate, tiles
@@ -33,6 +33,7 @@ from clgs.train.run.load import state_of_scene
 from clgs.train.run.trainer import Trainer
 from clgs.train.state.rounding import rounded_anchors
 from clgs.train.state.run_state import ANCHOR_GROUPS
+from clgs.workflow.runs.clocks import photo_dataset
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from tests.gaussians import projected_scene

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from clgs.lab.bench.step import count_frame, trainer_of
+from clgs.lab.bench.step import trainer_of
 from clgs.lab.kernels import count_pairs
 from clgs.lab.scenes import anchor_scene
 from clgs.opencl.device import Device
@@ -130,16 +130,16 @@ def _group(global_size: Sequence[int]) -> tuple[int, ...]:
 def units(device: Device, trainer: Any) -> dict[str, int]:
     """How much of everything a step has; pairs are those that the kernels look at."""
     frame = trainer.render_next()
-    counts = count_frame(device, frame)
+    held = frame.needed(device)
     forward, backward = count_pairs(
         device, frame.blended, device.zeros((3, frame.view.size[1], frame.view.size[0]))
     )
     tensors = [array for _, array in trainer.parameters.scene.items()]
     return {
         "anchors": trainer.parameters.count,
-        "visible anchors": counts.visible,
-        "Gaussians": counts.gaussians,
-        "entries": counts.intersections,
+        "visible anchors": held.visible,
+        "Gaussians": held.gaussians,
+        "entries": held.entries,
         "pairs forward": forward.visited,
         "pairs backward": backward.visited,
         "pixels": frame.view.size[0] * frame.view.size[1],

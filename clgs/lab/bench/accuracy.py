@@ -12,7 +12,6 @@ from clgs.lab.bench.accuracy_points import (
     PRESET_SWEEP,
     Point,
     SceneFigures,
-    ViewedScene,
     accuracy_settings,
     against_parity,
     bench_accuracy,
@@ -22,7 +21,6 @@ from clgs.lab.figures import (
     MARKERS,
     PANEL,
     STYLE,
-    check_figure_files,
     require_pyplot,
     save,
     show_table,
@@ -55,16 +53,14 @@ def run(
     seed: int,
     output: Path | None,
     plot: Path | None,
-    overwrite: bool,
-) -> int:
-    """Measure, print and, if asked, write JSON and draw; exit code 0.
+) -> None:
+    """Measure, print and, if asked, write JSON and draw.
 
     Raises:
         UsageError: no scene was asked for, or ``view``, one of ``views`` of ``scene``, does not
             exist.
     """
     settings = accuracy_settings(sweeps)
-    check_figure_files(output, plot, overwrite)
     if (scene is None) != (views.data is None):
         raise UsageError("--scene and --data belong together")
     subjects = synthetic_subjects(scenes, seed)
@@ -74,19 +70,18 @@ def run(
         if not 0 <= view < len(chosen):
             raise UsageError(f"--view {view}: there are {len(chosen)}, from 0")
         name = views.data.resolve().name
-        subjects.append(ViewedScene(name, quantized.dequantize(), chosen[view].camera))
+        subjects.append((name, quantized.dequantize(), chosen[view].camera))
     if not subjects:
         raise UsageError("no scene: name some with --scenes, or --scene and --data")
     device = Device(views.device)
     found = []
     for subject in subjects:
-        found.append(bench_accuracy(device, subject, settings, repeats))
+        found.append(bench_accuracy(device, *subject, settings, repeats))
         show(found[-1])
     figures = [asdict(one) | {"against_parity": against_parity(one)} for one in found]
     write_figures(output, {"scenes": figures}, device)
     if plot:
         plot_accuracy(plot, found, f"{device.name}, {device.specialisation} form")
-    return 0
 
 
 def show(figures: SceneFigures) -> None:

@@ -54,15 +54,6 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class ViewedScene:
-    """A scene and a view of it."""
-
-    name: str
-    scene: Scene
-    camera: Camera
-
-
-@dataclass(frozen=True)
 class Times:
     """Milliseconds: median, 5th and 95th percentile."""
 
@@ -150,36 +141,38 @@ def accuracy_settings(sweeps: Sequence[str] = ()) -> list[Setting]:
     return [one for one in settings if not sweeps or one.sweep in (PRESET_SWEEP, *sweeps)]
 
 
-def synthetic_subjects(names: Sequence[str], seed: int) -> list[ViewedScene]:
-    """The seeded scenes of the given names."""
+def synthetic_subjects(names: Sequence[str], seed: int) -> list[tuple[str, Scene, Camera]]:
+    """The seeded scenes of the given names, each with a view of it."""
     subjects = []
     for name in names:
         gaussians, size, growth = SYNTHETIC[name]
         scene, camera = anchor_scene(gaussians, size, seed)
         anchors = replace(scene.anchors, scaling=scene.anchors.scaling + np.float32(growth))
-        subjects.append(ViewedScene(name, replace(scene, anchors=anchors), camera))
+        subjects.append((name, replace(scene, anchors=anchors), camera))
     return subjects
 
 
 def bench_accuracy(
     device: Device,
-    subject: ViewedScene,
+    name: str,
+    subject: Scene,
+    camera: Camera,
     settings: Sequence[Setting],
     repeats: int,
 ) -> SceneFigures:
     """Errors of every setting, then times, the settings taking turns ``repeats`` times.
 
+    ``name``: of ``subject``, which ``camera`` looks at.
     Gradients are those of the sum of the picture times a random array.
     """
-    camera, render_settings = subject.camera, subject.scene.settings
-    scene, view = upload_scene(device, subject.scene), upload_view(device, camera, render_settings)
+    render_settings = subject.settings
+    scene, view = upload_scene(device, subject), upload_view(device, camera, render_settings)
     size = (camera.width, camera.height)
     d_host = np.random.default_rng(1).normal(size=(3, *size[::-1])).astype(np.float32)
     d_image = device.upload(d_host)
     background = np.array(render_settings.background, np.float32)
-    reference = cached_reference(
-        subject.scene, camera.pack(render_settings.near), size, background, d_host
-    )
+    packed = camera.pack(render_settings.near)
+    reference = cached_reference(subject, packed, size, background, d_host)
 
     @cache
     def picture_of(accuracy: Accuracy) -> Callable[[], npt.NDArray[np.float32]]:
@@ -207,10 +200,10 @@ def bench_accuracy(
         stopped = image_error(drawn, picture_of(without_stop)().astype(np.float64))
         return image, stopped, gradient_error(device, gradients(accuracy), reference)
 
-    tell(f"clgs: {subject.name}: errors of {len(settings)} settings")
+    tell(f"clgs: {name}: errors of {len(settings)} settings")
     different = list(dict.fromkeys(replace(one.accuracy, name="") for one in settings))
     errors_of = {accuracy: errors(accuracy) for accuracy in different}
-    tell(f"clgs: {subject.name}: times of {len(different)} different ones, {repeats} rounds")
+    tell(f"clgs: {name}: times of {len(different)} different ones, {repeats} rounds")
     tasks: dict[tuple[Accuracy, bool], Callable[[], object]] = {}
     for one in different:
         tasks[one, False] = picture_of(one)
@@ -227,8 +220,8 @@ def bench_accuracy(
         forward, both = times[accuracy, False], times.get((accuracy, True))
         points.append(Point(setting.sweep, setting.label, forward, image, stopped, both, gradient))
     frame = rasterise(device, scene, view)
-    counts = len(subject.scene.anchors), len(frame.gaussians), len(frame.tiles.gaussian)
-    return SceneFigures(subject.name, *counts, size, points)
+    counts = len(subject.anchors), len(frame.gaussians), len(frame.tiles.gaussian)
+    return SceneFigures(name, *counts, size, points)
 
 
 def image_error(image: npt.NDArray[np.float32], reference: Array) -> ImageError:

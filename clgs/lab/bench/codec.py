@@ -40,7 +40,6 @@ from clgs.scene.mlps import MLP_SIZE, Mlps
 from clgs.scene.scene import QuantizedScene
 from clgs.scene.storage import load_archive
 from clgs.workflow.events import counter
-from clgs.workflow.outputs import check_new
 
 Ints = npt.NDArray[np.int32]
 
@@ -101,13 +100,8 @@ class CodedData:
         return known.get(self.kind, {}).get(self.name)
 
 
-def seeded_subjects(anchors: int, seed: int) -> list[CodedData]:
-    """Independent Laplace numbers, points on bent sheets, and the scene of both."""
-    return scene_subjects("seeded", seeded_scene(anchors, seed))
-
-
 def seeded_scene(anchors: int, seed: int) -> QuantizedScene:
-    """A scene of about ``anchors`` anchors in Morton order."""
+    """Independent Laplace numbers of about ``anchors`` points on bent sheets, in Morton order."""
     rng = np.random.default_rng(seed)
     # voxels of three noisy bent sheets, unique, in Morton order
     side = int(np.sqrt(2 * anchors)) + 2
@@ -227,13 +221,13 @@ def run(
     repeats: int,
     levels_only: bool,
     json: Path | None,
-    overwrite: bool,
-) -> int:
-    """Measure, print and, if asked, write JSON; exit code 0."""
-    if json:
-        check_new(json, overwrite)
-    anchors = anchors or (QUICK_ANCHORS if quick else ANCHORS)
-    subjects = file_subjects(data) if data else seeded_subjects(anchors, seed)
+) -> None:
+    """Measure, print and, if asked, write JSON."""
+    if data:
+        subjects = file_subjects(data)
+    else:
+        count = anchors or (QUICK_ANCHORS if quick else ANCHORS)
+        subjects = scene_subjects("seeded", seeded_scene(count, seed))
     records, said = [], set[str]()
 
     def note(line: str) -> None:
@@ -257,7 +251,6 @@ def run(
     head = ("data and coder", "bytes", "ratio", "bits per number", "encode s", "decode s")
     show_table("one thread", head, (row for one in records for row in _rows(one)))
     write_figures(json, {"subjects": records})
-    return 0
 
 
 def _rows(record: dict[str, Any]) -> Iterator[tuple[str, ...]]:

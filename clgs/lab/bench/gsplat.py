@@ -23,54 +23,26 @@ from clgs.lab.bench.step import WARM_UP, synthetic_trainer, time_steps
 from clgs.lab.figures import show_table, write_figures
 from clgs.opencl.device import Device
 from clgs.render.frame import Frame
+from clgs.render.splat_meta import conics_of
 from clgs.scene.camera import Camera
-from clgs.workflow.outputs import check_new
 
 Floats = npt.NDArray[np.float32]
-
-
-@dataclass(frozen=True)
-class InSpace:
-    """N Gaussians, float32.
-
-    mean (N, 3), scale (N, 3): scene units; rotation (N, 4): unit quaternions w x y z; color (N, 3)
-    and opacity (N,) in [0, 1].
-    """
-
-    mean: Floats
-    scale: Floats
-    rotation: Floats
-    color: Floats
-    opacity: Floats
-
-
-@dataclass(frozen=True)
-class OnScreen:
-    """M Gaussians that touch the picture.
-
-    mean (M, 2) float32: pixels, pixel centres at +0.5; conic (M, 3) float32: the inverse covariance
-    as xx, xy, yy; radii (M, 2) int32: half-widths of the box that is looked at, pixels; depth (M,)
-    float32: camera z; color (M, 3) and opacity (M,) float32.
-    """
-
-    mean: Floats
-    conic: Floats
-    radii: npt.NDArray[np.int32]
-    depth: Floats
-    color: Floats
-    opacity: Floats
 
 
 @dataclass(frozen=True)
 class Handover:
     """A view: what is drawn, and the picture that clgs makes of it.
 
-    viewmat (4, 4) and intrinsics (3, 3) float32: world to camera, and pixels; background (3,)
-    float32; image (H, W, 3) float32.
+    space: N Gaussians, float32: mean (N, 3), scale (N, 3), scene units; rotation (N, 4), unit
+    quaternions w x y z; color (N, 3) and opacity (N,) in [0, 1]. screen: M Gaussians that touch the
+    picture: mean (M, 2) pixels, pixel centres at +0.5; conic (M, 3), the inverse covariance as xx,
+    xy, yy; radii (M, 2) int32, half-widths of the box that is looked at, pixels; depth (M,) camera
+    z; color (M, 3) and opacity (M,). viewmat (4, 4) and intrinsics (3, 3): world to camera, and
+    pixels; background (3,); image (H, W, 3). All others are float32.
     """
 
-    space: InSpace
-    screen: OnScreen
+    space: dict[str, Floats]
+    screen: dict[str, npt.NDArray[Any]]
     viewmat: Floats
     intrinsics: Floats
     background: Floats
@@ -86,23 +58,18 @@ def hand_over(device: Device, frame: Frame, camera: Camera) -> Handover:
     """Copy what ``frame`` was made of, without padding; ``camera``: of the frame."""
     load = device.download
     gaussians, projected = frame.gaussians, frame.projected
-    color, opacity, extent = load(gaussians.color), load(gaussians.opacity), load(projected.extent)
-    there, drawn = opacity > 0, extent[:, 0] > 0
-    space = InSpace(
-        load(gaussians.mean)[there],
-        load(gaussians.scale)[there],
-        load(gaussians.rotation)[there],
-        color[there],
-        opacity[there],
-    )
-    screen = OnScreen(
-        load(projected.mean2d)[drawn],
-        conics(load(projected.whitening)[drawn]),
-        np.ceil(extent[drawn]).astype(np.int32),
-        load(projected.depth)[drawn],
-        color[drawn],
-        opacity[drawn],
-    )
+    names = ("mean", "scale", "rotation", "color", "opacity")
+    every, extent = {name: load(getattr(gaussians, name)) for name in names}, load(projected.extent)
+    there, drawn = every["opacity"] > 0, extent[:, 0] > 0
+    screen = {
+        "mean": load(projected.mean2d)[drawn],
+        "conic": conics_of(load(projected.whitening)[drawn]),
+        "radii": np.ceil(extent[drawn]).astype(np.int32),
+        "depth": load(projected.depth)[drawn],
+        "color": every["color"][drawn],
+        "opacity": every["opacity"][drawn],
+    }
+    space = {name: array[there] for name, array in every.items()}
     viewmat = np.eye(4, dtype=np.float32)
     viewmat[:3, :3], viewmat[:3, 3] = camera.rotation, camera.translation
     intrinsics = np.array(
@@ -110,16 +77,6 @@ def hand_over(device: Device, frame: Frame, camera: Camera) -> Handover:
     )
     image = np.ascontiguousarray(load(frame.image).transpose(1, 2, 0))
     return Handover(space, screen, viewmat, intrinsics, load(frame.view.background), image)
-
-
-def conics(whitening: Floats) -> Floats:
-    """(M, 3) inverse covariances xx, xy, yy of whitening factors (M, 3) r1, l, r2.
-
-    They are the coefficients of y1^2 + y2^2, see :mod:`clgs.ops.project`.
-    """
-    r1, shear, r2 = whitening.astype(np.float64).T
-    xx, yy = r1**2 + (shear * r2) ** 2, r2**2
-    return np.stack([xx, -shear * yy, yy], axis=1).astype(np.float32)
 
 
 ROWS = {
@@ -164,11 +121,8 @@ def run(
     seed: int,
     device: str | None,
     json: Path | None,
-    overwrite: bool,
-) -> int:
-    """Measure, print and, if asked, write JSON; exit code 0."""
-    if json:
-        check_new(json, overwrite)
+) -> None:
+    """Measure, print and, if asked, write JSON."""
     require_gsplat()
     opened = Device(device)
     trainer = synthetic_trainer(opened, gaussians, size, seed)
@@ -190,7 +144,6 @@ def run(
         "gaussians": ours.gaussians,
     }
     write_figures(json, record, opened)
-    return 0
 
 
 def require_gsplat() -> None:
@@ -245,9 +198,9 @@ class _Raster:
         screen = view.screen
         self._size = view.size
         self._tiles = tuple(-(-edge // TILE_SIZE) for edge in view.size)
-        self._radii, self._depth = _on_card(screen.radii), _on_card(screen.depth)
-        drawn = (screen.mean, screen.conic, screen.color, screen.opacity)
-        self._drawn = [_on_card(each).requires_grad_() for each in drawn]
+        self._radii, self._depth = _on_card(screen["radii"]), _on_card(screen["depth"])
+        drawn = ("mean", "conic", "color", "opacity")
+        self._drawn = [_on_card(screen[name]).requires_grad_() for name in drawn]
         self._background = _on_card(view.background)
         self._upstream = _on_card(np.ones(view.image.shape, np.float32))
         self._offsets, self._order = self.lists()
@@ -293,9 +246,9 @@ def _training_step(view: Handover, seed: int) -> tuple[Callable[[], None], str]:
     except ImportError:
         ssim = None
     space = view.space
-    opacity = np.clip(space.opacity, 1e-4, 1 - 1e-4)
+    opacity = np.clip(space["opacity"], 1e-4, 1 - 1e-4)
     logit = np.log(opacity / (1 - opacity))
-    start = (space.mean, space.rotation, np.log(space.scale), logit, space.color)
+    start = (space["mean"], space["rotation"], np.log(space["scale"]), logit, space["color"])
     parameters = [_on_card(each).requires_grad_() for each in start]
     adam = torch.optim.Adam(parameters, lr=STILL, fused=True)
     viewmat, intrinsics, background = map(

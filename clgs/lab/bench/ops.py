@@ -8,23 +8,21 @@ contributes nothing counts as none. Both are lower bounds, so the share is a low
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
 from clgs.lab import kernels as limits
-from clgs.lab.bench.step import count_frame, synthetic_trainer, time_steps
+from clgs.lab.bench.step import synthetic_trainer, time_steps
 from clgs.lab.commands import open_devices
-from clgs.lab.figures import machine_facts, show_table, write_figures
+from clgs.lab.figures import finished_times, machine_facts, show_table, write_figures
 from clgs.lab.kernels import blend_decisions
 from clgs.lab.selftest.reference_render import Check
 from clgs.lab.selftest.render_checks import selftest
 from clgs.lab.selftest.training_checks import training_checks
 from clgs.opencl.device import Device
 from clgs.render.frame import DeviceScene, Frame
-from clgs.workflow.outputs import check_new
 
 COPY_BYTES = 128 << 20
 """Size of one array, well beyond the caches of today's processors."""
@@ -64,13 +62,7 @@ def measure_limits(device: Device) -> DeviceLimits:
 
 
 def _best_seconds(device: Device, work: Callable[[], object], repeats: int = REPEATS) -> float:
-    seconds = []
-    for _ in range(repeats + 1):
-        start = time.perf_counter()
-        work()
-        device.finish()
-        seconds.append(time.perf_counter() - start)
-    return min(seconds[1:])
+    return min(finished_times(device, work, repeats)) / 1e3
 
 
 @dataclass(frozen=True)
@@ -162,12 +154,12 @@ def count_work(device: Device, frame: Frame, scene: DeviceScene, elements: int) 
     """The counts of a render; blended pairs are those that the blend kernel itself reports."""
     shape = (3, frame.view.size[1], frame.view.size[0])
     made = blend_decisions(device, frame.blended, device.zeros(shape))[0]
-    counts = count_frame(device, frame)
+    held = frame.needed(device)
     return Counts(
         A=len(scene.anchors),
-        V=counts.visible,
-        N=counts.gaussians,
-        I=counts.intersections,
+        V=held.visible,
+        N=held.gaussians,
+        I=held.entries,
         B=int(made.contributed.sum()),
         P=frame.view.size[0] * frame.view.size[1],
         M=sum(array.size for name, array in scene.items() if name != "position"),
@@ -256,11 +248,8 @@ def run(
     seed: int | None,
     device: str | None,
     json: Path | None,
-    overwrite: bool,
 ) -> int:
     """Measure, print and, if asked, write JSON; exit code 1 if an error exceeds its limit."""
-    if json:
-        check_new(json, overwrite)
     sizes = {"gaussians": gaussians, "size": size, "elements": elements}
     sizes |= {"repeats": repeats, "seed": seed}
     given = {name: value for name, value in sizes.items() if value is not None}

@@ -11,11 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.cli.tell import tell
-from clgs.lab.bench.step import count_frame, stream_times, trainer_of
+from clgs.lab.bench.step import stream_times, trainer_of
 from clgs.lab.figures import (
     PANEL,
     STYLE,
-    check_figure_files,
     require_pyplot,
     save,
     show_table,
@@ -89,10 +88,8 @@ def run(
     device: str | None,
     output: Path | None,
     plot: Path | None,
-    overwrite: bool,
-) -> int:
-    """Measure, print and, if asked, write JSON and draw; exit code 0."""
-    check_figure_files(output, plot, overwrite)
+) -> None:
+    """Measure, print and, if asked, write JSON and draw."""
     opened = Device(device)
     found = bench_scaling(
         lambda: Device(device),
@@ -105,7 +102,6 @@ def run(
     write_figures(output, asdict(found), opened)
     if plot:
         plot_scaling(plot, found, f"{opened.name}, {opened.specialisation} form")
-    return 0
 
 
 def bench_scaling(
@@ -158,9 +154,9 @@ def time_size(device: Device, scene: Scene, camera: Camera, repeats: int) -> Run
     if more > 0:
         times += stream_times(trainer, more)
     peak = device.reserved_bytes
-    counts = count_frame(device, trainer.render_next())
+    held = trainer.render_next().needed(device)
     pixels = camera.width * camera.height
-    return Run(counts.gaussians, counts.intersections, pixels, median(times), peak)
+    return Run(held.gaussians, held.entries, pixels, median(times), peak)
 
 
 def growth(points: Sequence[tuple[float, float]]) -> Growth:

@@ -4,36 +4,25 @@ from __future__ import annotations
 
 import time
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from statistics import median
 
-import numpy as np
-
-from clgs.lab.figures import show_table, write_figures
-from clgs.lab.savings import savings
-from clgs.lab.scenes import anchor_scene, photo_dataset
+from clgs.lab.figures import show_table, take_turns, write_figures
+from clgs.lab.savings import Saving, savings
+from clgs.lab.scenes import anchor_scene
 from clgs.opencl.device import Device
-from clgs.render.frame import Frame
 from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.scene import Scene
 from clgs.train.config import LearningRates, TrainConfig
 from clgs.train.run.load import state_of_scene
 from clgs.train.run.trainer import Trainer
-from clgs.workflow.outputs import check_new
+from clgs.workflow.runs.clocks import photo_dataset
 
 WARM_UP = 3
 STILL = LearningRates(*[(1e-12, 1e-12)] * 6)
 """Learning rates that leave the scene as it is, so that every step does the same work."""
-
-
-@dataclass(frozen=True)
-class FrameCounts:
-    """How many visible anchors, neural Gaussians and entries of tile lists a frame holds."""
-
-    visible: int
-    gaussians: int
-    intersections: int
 
 
 @dataclass(frozen=True)
@@ -65,11 +54,8 @@ def run(
     seed: int,
     device: str | None,
     json: Path | None,
-    overwrite: bool,
-) -> int:
-    """Measure, print and, if asked, write JSON; exit code 0."""
-    if json:
-        check_new(json, overwrite)
+) -> None:
+    """Measure, print and, if asked, write JSON."""
     opened = Device(device)
     trainer = synthetic_trainer(opened, gaussians, size, seed)
     times, saved = time_steps(trainer, repeats), savings(trainer)
@@ -78,6 +64,12 @@ def run(
         f"{times.gaussians:,} Gaussians, {times.intersections:,} intersections, "
         f"{size[0]}x{size[1]} px"
     )
+    show(title, times, saved)
+    write_figures(json, {**asdict(times), "savings": list(map(asdict, saved))}, opened)
+
+
+def show(title: str, times: StepTimes, saved: list[Saving]) -> None:
+    """Print the tables of the times and of what skips save."""
     rows = [
         *((name, f"{milliseconds:.2f}") for name, milliseconds in times.stages.items()),
         (),
@@ -92,8 +84,6 @@ def run(
     show_table(title, ("stage", "median ms"), rows)
     counts = [(f"{one.skip}: {one.unit}", f"{one.done:,} of {one.without:,}") for one in saved]
     show_table("work that is done with each skip", ("skip", "done"), counts)
-    write_figures(json, {**asdict(times), "savings": list(map(asdict, saved))}, opened)
-    return 0
 
 
 def time_steps(trainer: Trainer, repeats: int) -> StepTimes:
@@ -109,7 +99,7 @@ def time_steps(trainer: Trainer, repeats: int) -> StepTimes:
         trainer.step()
     device.profile.enabled = False
     stages = {name: milliseconds for name, _, milliseconds, _ in device.profile.rows()}
-    counts = count_frame(device, trainer.render_next())
+    held = trainer.render_next().needed(device)
     return StepTimes(
         step=median(whole),
         render=median(render_times(trainer, repeats)),
@@ -119,19 +109,8 @@ def time_steps(trainer: Trainer, repeats: int) -> StepTimes:
         kernels=kernels,
         stages=stages,
         anchors=trainer.parameters.count,
-        gaussians=counts.gaussians,
-        intersections=counts.intersections,
-    )
-
-
-def count_frame(device: Device, frame: Frame) -> FrameCounts:
-    """Count what a frame holds, without the padding at the end of its arrays."""
-    visible = device.download(frame.activations.visible)
-    opacity = device.download(frame.gaussians.opacity)
-    return FrameCounts(
-        visible=int(np.count_nonzero(visible >= 0)),
-        gaussians=int(np.count_nonzero(opacity > 0)),
-        intersections=int(device.download(frame.tiles.tile_range)[-1]),
+        gaussians=held.gaussians,
+        intersections=held.entries,
     )
 
 
@@ -170,12 +149,7 @@ def render_times(trainer: Trainer, repeats: int) -> list[float]:
     camera, settings = trainer.dataset.train[0].camera, trainer.settings
     scene = trainer.rounding.scene_at(trainer.state, trainer.steps_done)
     renderer = Renderer.of_device_scene(trainer.device, scene, settings, trainer.options)
-    times = []
-    for _ in range(WARM_UP + repeats):
-        start = time.perf_counter()
-        renderer.render(camera)
-        times.append(1e3 * (time.perf_counter() - start))
-    return times[WARM_UP:]
+    return take_turns({"": partial(renderer.render, camera)}, repeats, WARM_UP)[""]
 
 
 def synthetic_trainer(

@@ -55,17 +55,21 @@ def run(args: argparse.Namespace) -> int:
         ClgsError, DeviceError: memory is short; the message names the options that need less.
     """
     from clgs.errors import ClgsError, DeviceError, NoRoomError
+    from clgs.lab.figures import check_figure_files
 
     remedy = f"{KINDS[args.kind].smaller} less"
     measure = importlib.import_module(f"clgs.lab.bench.{args.kind}").run
     given = vars(args) | {"views": view_options(vars(args))}
+    file = given.get("output") or given.get("json")
+    check_figure_files(file, given.get("plot"), args.overwrite)
     try:
-        code: int = measure(**{name: given[name] for name in inspect.signature(measure).parameters})
+        wanted = inspect.signature(measure).parameters
+        code: int | None = measure(**{name: given[name] for name in wanted})
     except NoRoomError as error:
         raise DeviceError(f"{error.problem}; {remedy}") from error
     except MemoryError as error:
         raise ClgsError(f"out of memory ({error}); {remedy}") from error
-    return code
+    return code or 0
 
 
 def add_step(parser: argparse.ArgumentParser) -> None:

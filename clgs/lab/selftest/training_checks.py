@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from functools import partial
 from statistics import median
@@ -10,6 +9,7 @@ from statistics import median
 import numpy as np
 
 from clgs.constants import FEATURE_DIM, K_OFFSETS, NEAR_PLANE, OUTPUT_DIM
+from clgs.lab.figures import finished_times
 from clgs.lab.scenes import square_camera
 from clgs.lab.selftest.rasteriser_checks import check_channels, check_harmonics, check_views
 from clgs.lab.selftest.reference_render import (
@@ -64,13 +64,8 @@ def training_checks(device: Device, count: int = COUNT) -> Iterator[Check]:
     for check in (*numbers, check_density, check_growth, *pictures, *rasteriser):
         try:
             for stage, quantity, error, limit, work in check(device, rng, count):
-                times = []
-                for _ in range(REPEATS + 1):
-                    start = time.perf_counter()
-                    work()
-                    device.finish()
-                    times.append(1e3 * (time.perf_counter() - start))
-                yield Check(stage, quantity, error, limit, median(times[1:]))
+                times = finished_times(device, work, REPEATS)
+                yield Check(stage, quantity, error, limit, median(times))
         except Exception as problem:  # a driver may raise anything
             yield failed(check.__name__.removeprefix("check_"), problem)
 

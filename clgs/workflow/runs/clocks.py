@@ -15,6 +15,7 @@ from pathlib import Path
 from statistics import median
 
 import numpy as np
+import numpy.typing as npt
 
 from clgs.data.dataset import LEAST_POINTS, Dataset, load_dataset
 from clgs.data.images import Pixels
@@ -141,15 +142,22 @@ def _step_seconds(trainer: Trainer, warm_up: int, repeats: int) -> float:
 def synthetic_dataset(edge: int) -> Dataset:
     """A random photo of ``edge`` x ``edge`` pixels, and random points that fill its view."""
     rng = np.random.default_rng(0)
-    coarse = rng.integers(0, 256, (edge // 8, edge // 8, 3), np.uint8)
-    image = np.ascontiguousarray(coarse.repeat(8, axis=0).repeat(8, axis=1))
     place = np.array([0.0, 0.0, 4.0])
     camera = Camera(np.eye(3), place, edge, edge, edge / 2, edge / 2, edge, edge)
     points = rng.uniform(-1, 1, (SYNTHETIC_ANCHORS, 3)) * (1.7, 1.7, 0.5)
+    return photo_dataset(camera, points.astype(np.float32))
+
+
+def photo_dataset(camera: Camera, points: npt.NDArray[np.float32], seed: int = 0) -> Dataset:
+    """A data set of one smooth random photo seen by ``camera``; ``points`` (P, 3) to start from."""
+    rng = np.random.default_rng(seed)
+    coarse = rng.integers(0, 256, (camera.height // 8 + 1, camera.width // 8 + 1, 3), np.uint8)
+    image = coarse.repeat(8, axis=0).repeat(8, axis=1)[: camera.height, : camera.width]
+    photo = StoredPhoto.of(Pixels(np.ascontiguousarray(image), None))
     return Dataset(
-        train=[View("synthetic", camera, StoredPhoto.of(Pixels(image, None)))],
+        train=[View("synthetic", camera, photo)],
         test=[],
-        points=points.astype(np.float32),
+        points=points,
         point_colors=None,
         transform=SceneTransform(),
         radius=1.0,

@@ -27,38 +27,38 @@ def picture(screen, size, background):
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     image, left = np.zeros((height, width, 3)), np.ones((height, width))
     open_ = np.ones((height, width), bool)
-    for i in np.argsort(screen.depth, kind="stable"):
-        dx, dy = screen.mean[i, 0] - x, screen.mean[i, 1] - y
-        xx, xy, yy = screen.conic[i].astype(np.float64)
+    for i in np.argsort(screen["depth"], kind="stable"):
+        dx, dy = screen["mean"][i, 0] - x, screen["mean"][i, 1] - y
+        xx, xy, yy = screen["conic"][i].astype(np.float64)
         sigma = 0.5 * (xx * dx * dx + yy * dy * dy) + xy * dx * dy
-        alpha = np.minimum(MOST_ALPHA, screen.opacity[i] * np.exp(-sigma))
-        inside = (np.abs(dx) <= screen.radii[i, 0]) & (np.abs(dy) <= screen.radii[i, 1])
+        alpha = np.minimum(MOST_ALPHA, screen["opacity"][i] * np.exp(-sigma))
+        inside = (np.abs(dx) <= screen["radii"][i, 0]) & (np.abs(dy) <= screen["radii"][i, 1])
         taken = open_ & inside & (sigma >= 0) & (alpha >= LEAST_ALPHA)
         after = left * (1 - alpha)
         open_ &= ~(taken & (after <= LEAST_TRANSMITTANCE))
         taken &= open_
-        image += np.where(taken, alpha * left, 0)[..., None] * screen.color[i]
+        image += np.where(taken, alpha * left, 0)[..., None] * screen["color"][i]
         left = np.where(taken, after, left)
     return image + left[..., None] * background
 
 
 def test_the_picture_is_ours(view):
-    assert len(view.screen.depth) > 300
+    assert len(view.screen["depth"]) > 300
     assert view.image.max() > 0.2
     made = picture(view.screen, view.size, view.background)
     assert difference(made, view.image) < 1e-4
 
 
 def test_gaussians_in_space_project_to_those_on_the_screen(view):
-    seen = view.space.mean @ view.viewmat[:3, :3].T + view.viewmat[:3, 3]
+    seen = view.space["mean"] @ view.viewmat[:3, :3].T + view.viewmat[:3, 3]
     place = (seen / seen[:, 2:]) @ view.intrinsics.T
     found = [
         np.hypot(*(place[:, :2] - mean).T)[np.abs(seen[:, 2] - depth) < 1e-4].min()
-        for mean, depth in zip(view.screen.mean[:50], view.screen.depth[:50], strict=True)
+        for mean, depth in zip(view.screen["mean"][:50], view.screen["depth"][:50], strict=True)
     ]
     assert max(found) < 1e-2
-    np.testing.assert_allclose(np.linalg.norm(view.space.rotation, axis=1), 1, atol=1e-5)
-    assert ((view.space.opacity > 0) & (view.space.opacity <= 1)).all()
+    np.testing.assert_allclose(np.linalg.norm(view.space["rotation"], axis=1), 1, atol=1e-5)
+    assert ((view.space["opacity"] > 0) & (view.space["opacity"] <= 1)).all()
 
 
 def test_without_gsplat_it_says_what_is_needed(monkeypatch):
