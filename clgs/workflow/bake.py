@@ -186,7 +186,7 @@ def _pictures(
                 planes = to_8bit(renderer.render(view.camera)).transpose(2, 0, 1)
             seen, used = upload_view(device, view.camera, scene.settings), view.used()
             picture = device.upload(np.ascontiguousarray(planes if used is None else planes * used))
-            yield Target(seen, picture, None if used is None else device.upload(used))
+            yield seen, picture, None if used is None else device.upload(used)
 
 
 def without_faint(gaussians: HostGaussians) -> HostGaussians:

@@ -209,17 +209,9 @@ LAST_RATE = 0.1
 """Rates fall exponentially, to this share of the first ones."""
 
 
-@dataclass(frozen=True)
-class Target:
-    """A view and what it is to show, on the device.
-
-    picture (3, H, W) uint8, zero where it is masked; used (H, W) uint8 of 0 and 1, None if nothing
-    is masked.
-    """
-
-    view: DeviceView
-    picture: DeviceArray
-    used: DeviceArray | None = None
+Target = tuple[DeviceView, DeviceArray, DeviceArray | None]
+"""A view, and what it is to show on the device: the picture (3, H, W) uint8, zero where it is
+masked; and what is used of it (H, W) uint8, of 0 and 1, None if nothing is masked."""
 
 
 def refine(
@@ -242,11 +234,10 @@ def refine(
     stored, room = gaussians.map(device.upload), EXACT_ROOM
     moments = {name: adam.zero_moments(device, array) for name, array in stored.items()}
     stop = adam.stop_flag(device)
-    for number, target in zip(range(1, steps + 1), targets, strict=False):
-        draw = partial(rasterise, device, stored, target.view, options)
+    for number, (view, picture, used) in zip(range(1, steps + 1), targets, strict=False):
+        draw = partial(rasterise, device, stored, view, options)
         frame, room = with_enough_room(device, room, draw)
-        image, picture, used = frame.image, target.picture, target.used
-        image = image if used is None else mask.forward(device, image, used)
+        image = frame.image if used is None else mask.forward(device, frame.image, used)
         compared = loss.forward(device, image, picture)
         d_image = loss.backward(device, image, picture, compared)
         d_image = d_image if used is None else mask.backward(device, d_image, used)

@@ -40,7 +40,14 @@ from clgs.workflow.bake import (
     evenly,
 )
 from clgs.workflow.events import Note, OnEvent, counter, ignore
-from clgs.workflow.options import BAKE_STEPS, MOST_BAKE_STEPS, SH_DEGREES, UNITS, ViewOptions
+from clgs.workflow.options import (
+    BAKE_STEPS,
+    MOST_BAKE_STEPS,
+    SH_DEGREES,
+    UNITS,
+    ViewOptions,
+    refuse,
+)
 from clgs.workflow.outputs import check_new
 from clgs.workflow.scenes import (
     SPLAT_SUFFIXES,
@@ -163,17 +170,16 @@ def export(
     check_choice("units", units or UNITS[0], UNITS)
     check_type("name", name or "", str, "the title of the page")
     drawn = {"sh_degree": sh_degree, "units": units}
-    if suffix != ".html":
-        _refuse({"name": name}, "only a page has a title")
     if suffix == ".html":
-        _refuse(drawn | given, "a page holds the scene as it is")
+        refuse(drawn | given, "a page holds the scene as it is; leave it out")
         return _page(source, output, photos, name, None)
+    refuse({"name": name}, "only a page has a title; leave it out")
     if suffix == ".glb" and not (
         source and (source.is_file() or (run_folder(source) / "scene.npz").exists())
     ):
         if source is None:
             raise UsageError("a data set is needed: `clgs export DATA -o cameras.glb`")
-        _refuse(drawn | given | {"data": data}, f"{source} is a data set")
+        refuse(drawn | given | {"data": data}, f"{source} is a data set; leave it out")
         dataset = load_dataset(source, load_images=False)
         glb = cameras_glb(dataset)
         atomic_write(output, glb)
@@ -187,9 +193,9 @@ def export(
     degree = SH_DEGREES[-1] if sh_degree is None else sh_degree
     kind, loss = "", None
     if isinstance(scene, SplatScene):
-        _refuse(given, "splats are converted, not baked")
+        refuse(given, "splats are converted, not baked; leave it out")
         if suffix != ".glb":
-            _refuse({"data": data}, "only .glb has an up, which a data set tells")
+            refuse({"data": data}, "only .glb has an up, which a data set tells; leave it out")
         if photos is not None:
             kind = load_dataset(photos, load_images=False).kind
         sh = scene.gaussians.sh[:, : (degree + 1) ** 2]
@@ -199,7 +205,7 @@ def export(
     else:
         steps, antialiased = given.pop("steps", None), given.pop("antialiased", None)
         photo_options = {name: given.pop(name, None) for name in PHOTO_OPTIONS}
-        _refuse(given, "there is no such option")
+        refuse(given, "there is no such option; leave it out")
         views = ViewOptions(photos or _known(source), **photo_options)
         check_photo_options(views)
         settings = BakeSettings(degree, BAKE_STEPS if steps is None else steps, bool(antialiased))
@@ -212,13 +218,6 @@ def export(
 def _known(source: Path | None) -> Path | None:
     """The data set that the run folder of ``source`` names, if there is one."""
     return None if source is None else known_data(source)
-
-
-def _refuse(options: dict[str, Any], why: str) -> None:
-    """Raise UsageError if one of ``options`` is given."""
-    for name, value in options.items():
-        if value is not None:
-            raise UsageError(f"--{name.replace('_', '-')}: {why}; leave it out")
 
 
 def _bake(

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+from clgs.errors import UsageError
 
 PATHS = ("orbit", "spiral", "interpolate")
 FRAMES = 120
@@ -73,3 +77,10 @@ class PathOptions:
     fps: float | None = None
     size: tuple[int, int] | None = None
     up: str | None = None
+
+
+def refuse(options: Mapping[str, Any], why: str) -> None:
+    """Raise UsageError, with ``why``, if one of ``options`` is given, which are None if not."""
+    for name, value in options.items():
+        if value is not None:
+            raise UsageError(f"--{name.replace('_', '-')}: {why}")

@@ -41,7 +41,16 @@ from clgs.scene.camera import Camera
 from clgs.scene.scene import QuantizedScene, SceneTransform, SplatScene, drawable
 from clgs.train.quality.scores import to_8bit
 from clgs.workflow.events import Note, OnEvent, ignore, track
-from clgs.workflow.options import FPS, FRAMES, PATHS, SIZE, UPS, PathOptions, ViewOptions
+from clgs.workflow.options import (
+    FPS,
+    FRAMES,
+    PATHS,
+    SIZE,
+    UPS,
+    PathOptions,
+    ViewOptions,
+    refuse,
+)
 from clgs.workflow.outputs import check_apart, check_new, check_picture_folder
 from clgs.workflow.scenes import check_there, read_drawable
 from clgs.workflow.views import (
@@ -73,9 +82,8 @@ def check_clip(path: PathOptions, views: ViewOptions, save_path: Path | None) ->
     if views.split is not None:
         raise UsageError("--split: a clip shows no views of the data set; leave it out")
     if not (named and views.data is not None):
-        for option, value in (("--downscale", views.downscale), ("--max-size", views.max_size)):
-            if value is not None:
-                raise UsageError(f"{option}: no photos give the frames their size; use --size")
+        given = {"downscale": views.downscale, "max_size": views.max_size}
+        refuse(given, "no photos give the frames their size; use --size")
 
 
 def make_path(

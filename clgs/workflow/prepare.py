@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from clgs.exports.poses_page import write_poses_page
 from clgs.poses.prepare import prepare
@@ -25,41 +26,19 @@ class PreparedData:
 
 
 def prepare_data(
-    photos: Path | str,
-    output: Path,
-    *,
-    seed: int = 0,
-    quick: bool = False,
-    frames: int | None = None,
-    drop_doubtful: bool = False,
-    max_size: int = 0,
-    device: str | None = None,
-    equirectangular: bool = False,
-    poses: Path | str | None = None,
-    continued: Path | str | None = None,
-    overwrite: bool = False,
-    on_event: OnEvent = ignore,
+    photos: Path | str, output: Path, *, on_event: OnEvent = ignore, **options: Any
 ) -> PreparedData:
     """Find poses and points, test them, and write the page about them to ``output``.
 
-    :func:`clgs.prepare` describes the arguments, the errors and the other files.
+    :func:`clgs.prepare` describes the arguments, ``options`` included, the errors and the other
+    files.
     """
     start = time.perf_counter()
-    verdict = prepare(
-        photos,
-        output,
-        seed,
-        lambda stage, done, total: on_event(StageProgress(stage, done, total)),
-        overwrite=overwrite,
-        quick=quick,
-        frames=frames,
-        drop_doubtful=drop_doubtful,
-        max_size=max_size,
-        device=device,
-        equirectangular=equirectangular,
-        poses=poses,
-        continued=continued,
-    )
+
+    def follow(stage: str, done: int, total: int) -> None:
+        on_event(StageProgress(stage, done, total))
+
+    verdict = prepare(photos, output, on_progress=follow, **options)
     page = output / PAGE
     write_poses_page(page, output, verdict)
     return PreparedData(output, verdict, page, time.perf_counter() - start)

@@ -23,7 +23,7 @@ from clgs.train.quality.scores import (
     summarize,
 )
 from clgs.workflow.events import Note, OnEvent, counter, ignore
-from clgs.workflow.options import ViewOptions
+from clgs.workflow.options import ViewOptions, refuse
 from clgs.workflow.scenes import check_there, run_folder
 
 DrawableScene = TypeVar("DrawableScene", QuantizedScene, SplatScene, QuantizedScene | SplatScene)
@@ -113,10 +113,8 @@ def load_views(
 def check_photo_options(options: ViewOptions) -> None:
     """Raise UsageError if options say how photos are read, and there are none."""
     if options.data is None:
-        for name in ("downscale", "max_size", "masks"):
-            if getattr(options, name) is not None:
-                option = f"--{name.replace('_', '-')}"
-                raise UsageError(f"{option}: no photos are known without --data; leave it out")
+        given = {name: getattr(options, name) for name in ("downscale", "max_size", "masks")}
+        refuse(given, "no photos are known without --data; leave it out")
 
 
 def select_views(

@@ -16,7 +16,7 @@ from clgs.cli.options import (
     named_path,
     whole_number,
 )
-from clgs.workflow.options import BAKE_STEPS, MOST_BAKE_STEPS, SH_DEGREES, UNITS
+from clgs.workflow.options import BAKE_STEPS, MOST_BAKE_STEPS, SH_DEGREES, UNITS, refuse
 
 if TYPE_CHECKING:
     from clgs.workflow.export import ExportedCameras, ExportedGaussians, ExportedPage
@@ -106,9 +106,7 @@ def run(args: argparse.Namespace) -> int:
     names = "sh_degree", "steps", "units", "downscale", "max_size", "device", "masks", "antialiased"
     others = chosen({"masks": None} | vars(args), *names)
     if args.link is not None:
-        for name, value in others.items():
-            if value is not None:
-                raise UsageError(f"--{name.replace('_', '-')}: has no effect with --link")
+        refuse(others, "has no effect with --link")
         show(export_link(args.source, args.output, args.link, **shared))
         return 0
     with Display() as display:

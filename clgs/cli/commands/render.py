@@ -15,7 +15,7 @@ from clgs.cli.options import (
     positive_int,
     view_options,
 )
-from clgs.workflow.options import FPS, FRAMES, SIZE, UPS, PathOptions
+from clgs.workflow.options import FPS, FRAMES, SIZE, UPS, PathOptions, refuse
 
 if TYPE_CHECKING:
     from clgs.workflow.pictures import Clip
@@ -101,10 +101,8 @@ def run(args: argparse.Namespace) -> int:
         with Display() as display:
             show(render_clip(args.scene, args.output, path, views, on_event=display, **options))
         return 0
-    for name in ("frames", "fps", "size", "up", "save_path"):
-        if getattr(args, name) is not None:
-            option = f"--{name.replace('_', '-')}"
-            raise UsageError(f"{option}: belongs to a clip; give --path too")
+    of_clips = chosen(vars(args), "frames", "fps", "size", "up", "save_path")
+    refuse(of_clips, "belongs to a clip; give --path too")
     if args.output.suffix.lower() in (".mp4", *OTHER_VIDEOS):
         raise UsageError(f"{args.output}: a video is a clip; give --path, or name a folder")
     with Display() as display:
