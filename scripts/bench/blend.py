@@ -25,9 +25,8 @@ os.environ["OMP_WAIT_POLICY"] = "passive"  # threads that spin after the C loop 
 import numpy as np
 import numpy.typing as npt
 
-from clgs.constants import TILE_SIZE
 from clgs.lab.figures import take_turns
-from clgs.lab.selftest.reference_render import relative_l2
+from clgs.lab.selftest.reference_render import box_lists, relative_l2
 from clgs.opencl.device import Device
 from clgs.ops import blend, tiles
 from clgs.ops.project import Projected
@@ -67,18 +66,17 @@ class NaiveBlend:
         """``d_image``: gradient of the picture, (3, H, W)."""
         width, height = size
         self.count = len(scene.opacity)
-        self._arrays = {**vars(scene), **box_lists(scene, size), "background": BACKGROUND}
+        lists = box_lists(Projected(**vars(scene)), *size)
+        found = {name: vars(lists)[name].astype(np.int32) for name in ("tile_range", "gaussian")}
+        self._arrays = {**vars(scene), **found, "background": BACKGROUND}
         self._scene = SceneOfC(width, height, *(self._arrays[n].ctypes.data for n in SCENE_ARRAYS))
-        gaussian = self._arrays["gaussian"]
         self.image = np.zeros((3, height, width), np.float32)
         transmittance = np.zeros((height, width), np.float32)
         last = np.zeros((height, width), np.int32)
         self._forward = self.image, transmittance, last
-        place = np.argsort(gaussian, kind="stable").astype(np.int32)
-        numbers = np.bincount(gaussian, minlength=self.count)
-        place_range = np.concatenate([[0], np.cumsum(numbers)]).astype(np.int32)
-        self._backward = transmittance, last, d_image, place, place_range
-        self._rows = np.zeros((len(gaussian), ROW), np.float32)
+        place = np.argsort(lists.row).astype(np.int32)
+        self._backward = transmittance, last, d_image, place, lists.row_range.astype(np.int32)
+        self._rows = np.zeros((len(place), ROW), np.float32)
         self.gradients = np.zeros((self.count, ROW), np.float32)
 
     def forward(self) -> None:
@@ -104,28 +102,6 @@ def naive_library() -> ctypes.CDLL:
         target = Path(folder) / "naive_blend.so"
         subprocess.run([*COMPILER, str(source), "-o", str(target), "-lm"], check=True)
         return ctypes.CDLL(str(target))
-
-
-def box_lists(scene: ProjectedScene, size: tuple[int, int]) -> dict[str, Array]:
-    """Lists of the Gaussians whose boxes of visible alpha overlap a tile, front to back."""
-    counts = -(-np.array(size) // TILE_SIZE)
-    low, high = scene.mean2d - scene.extent, scene.mean2d + scene.extent
-    first = np.clip(np.floor(low / TILE_SIZE), 0, counts).astype(np.int64)
-    end = np.clip(np.floor(high / TILE_SIZE) + 1, 0, counts).astype(np.int64)
-    spans = np.maximum(end - first, 0)
-    number = spans.prod(axis=1) * (scene.extent[:, 0] > 0)
-    order = np.argsort(scene.depth, kind="stable")
-    gaussian = np.repeat(order, number[order])
-    starts = np.repeat(np.cumsum(number[order]) - number[order], number[order])
-    within = np.arange(len(gaussian)) - starts
-    column = first[gaussian, 0] + within % spans[gaussian, 0]
-    row = first[gaussian, 1] + within // spans[gaussian, 0]
-    tile = row * counts[0] + column
-    ends = np.cumsum(np.bincount(tile, minlength=counts.prod()))
-    return {
-        "tile_range": np.concatenate([[0], ends]).astype(np.int32),
-        "gaussian": gaussian[np.argsort(tile, kind="stable")].astype(np.int32),
-    }
 
 
 def measure(device: Device, name: str, repeats: int) -> dict[str, float]:

@@ -19,14 +19,13 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-from clgs.data.dataset import Dataset, load_dataset
-from clgs.data.origin import read_origin, repose
 from clgs.exports.page import scene_page
 from clgs.render.renderer import render_view
 from clgs.scene.camera import Camera
-from clgs.train.config import from_toml
 from clgs.train.quality.scores import to_8bit
+from clgs.workflow.options import ViewOptions
 from clgs.workflow.scenes import read_run
+from clgs.workflow.views import select_views
 from tests.web.browser import Browser, find_browser
 
 VIEWS = 3
@@ -59,12 +58,13 @@ def main() -> None:
 
 def show(browser: Browser, file: Path, args: argparse.Namespace) -> None:
     """Open the page; screenshots first, then motion."""
-    scene, dataset = read_run(args.run)[0], views_of(args.run)
+    scene = read_run(args.run)[0]
+    views = select_views(args.run, scene, ViewOptions(split="test"))
     browser.open(file, 1600, 1600)
     state = browser.wait("window.clgs && clgs.state()", lambda s: s and (s["ready"] or s["failed"]))
     same = state["hash"] == state["expectedHash"]
     print(f"integers {state['hash']}, {'as in the file' if same else 'NOT as in the file'}")
-    for view in dataset.test[:VIEWS]:
+    for view in views[:VIEWS]:
         wanted = to_8bit(render_view(scene.dequantize(), view.camera)).astype(np.float64)
         error = np.mean((screenshot(browser, view.camera) - wanted) ** 2)
         print(f"{view.name}: screenshot {10 * math.log10(255**2 / error):.1f} dB")
@@ -74,18 +74,6 @@ def show(browser: Browser, file: Path, args: argparse.Namespace) -> None:
     print(f"turning, {WINDOW} x {WINDOW} window: {frames:.1f} pictures per second, ", end="")
     print(f"{updates:.1f} sets of {gaussians:,} Gaussians per second")
     print(f"complaints of the browser: {len(browser.errors)}")
-
-
-def views_of(run: Path) -> Dataset:
-    """The data set of a run, posed as its scene is."""
-    config = from_toml((run / "config.toml").read_text(encoding="utf-8"))
-    origin = read_origin(run)
-    if origin is None:
-        sys.exit(f"page.py: {run} does not name its data set")
-    loaded = load_dataset(
-        origin.folder, downscale=config.downscale, max_size=config.max_size, load_images=False
-    )
-    return repose(loaded, read_run(run)[0].transform)
 
 
 def screenshot(browser: Browser, camera: Camera) -> np.ndarray:

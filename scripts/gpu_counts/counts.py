@@ -1,14 +1,13 @@
 #!/usr/bin/env python3
 """What a GPU with warps of 32 lanes would have to do for a training step, counted without a GPU.
 
-    scripts/gpu_counts/counts.py {record,table,kernels,scaling} FILE
+    scripts/gpu_counts/counts.py {record,table,kernels} FILE
     scripts/gpu_counts/counts.py lines
 
 ``record`` runs a step of small synthetic scenes in the kernels' form for GPUs under Oclgrind, with
 a plugin that counts, and the scenes of ``clgs bench`` on the usual device for their sizes. Then
 ``table`` has a line for each stage, with counts scaled to these sizes and an estimate of the time
-on a card, and ``kernels`` one for each kernel. ``scaling`` shows how well counts scale between
-scenes, ``lines`` the lines of the source that cost most.
+on a card, and ``kernels`` one for each kernel. ``lines`` shows those of the source that cost most.
 
 Estimates are lower bounds that no card has confirmed.
 """
@@ -32,7 +31,7 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     actions = parser.add_subparsers(dest="action", required=True)
-    for name in ("record", "table", "kernels", "scaling", "lines"):
+    for name in ("record", "table", "kernels", "lines"):
         action = actions.add_parser(name)
         if name != "lines":
             action.add_argument("file", type=Path)
@@ -60,9 +59,6 @@ def run(args: argparse.Namespace) -> int:
         print("\n".join(measure.worst_lines()))
         return 0
     state = dict(json.loads(args.file.read_text(encoding="utf-8")))
-    if args.action == "scaling":
-        print("\n".join(table.scaling(state)))
-        return 0
     shown = table.by_stage if args.action == "table" else table.by_kernel
     for bench in measure.BENCHES:
         print(f"{bench}:\n\n" + "\n".join(shown(state, bench)) + "\n")

@@ -123,16 +123,3 @@ def row(found: list[Kernel]) -> Row:
     """Add up some kernels."""
     sums = {name: sum(one.sums[name] for one in found) for name in NAMES}
     return Row(sum(one.launches for one in found), sums, total(one.bound for one in found))
-
-
-def scaling_errors(state: Json, name: str = "warp_instructions") -> dict[str, tuple[float, float]]:
-    """Counts of each kernel of the largest small scene: scaled from the others, and its own."""
-    largest = max(state["scenes"].values(), key=lambda scene: int(scene["units"]["pixels"]))
-    found = {}
-    for key, each in largest["kernels"].items():
-        known = [one for one in works(state, key) if one[1] is not each["sums"]]
-        target = Work(each["launches"], largest["units"])
-        if known:
-            guess = scaled(key.split(": ")[1], known, target)
-            found[key] = guess[name], float(each["sums"][name])
-    return found

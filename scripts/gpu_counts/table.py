@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from estimate import Row, kernels, row, rows, scaling_errors
+from estimate import Row, kernels, row, rows
 from units import units_of
 
 COLUMNS = (
@@ -39,14 +39,3 @@ def cells_of(one: Row) -> str:
         f"| {one.sector_efficiency:.0%} | {one.conflicts:.2f} | {one.bound.time:.0f} "
         f"| {one.bound.binds}"
     )
-
-
-def scaling(state: dict[str, Any]) -> Iterator[str]:
-    """A line per kernel, those with most instructions first: counts scaled, and counted."""
-    errors = scaling_errors(state)
-    yield "| kernel | scaled | counted | error |"
-    yield "|" + "---|" * 4
-    for key, (guess, true) in sorted(errors.items(), key=lambda item: -item[1][1]):
-        yield f"| {key} | {guess:.0f} | {true:.0f} | {guess / true - 1:+.1%} |"
-    guesses, trues = (sum(each) for each in zip(*errors.values(), strict=True))
-    yield f"| **all** | {guesses:.0f} | {trues:.0f} | {guesses / trues - 1:+.1%} |"

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.cli.tell import tell
-from clgs.constants import ALPHA_MAX, TILE_SIZE
+from clgs.constants import ALPHA_CUT, ALPHA_MAX, TILE_SIZE
 from clgs.files import atomic_path, cache_folder
 from clgs.lab.kernels import blend_decisions
 from clgs.opencl.array import DeviceArray
@@ -32,6 +32,7 @@ from clgs.scene.scene import Scene
 
 Array = npt.NDArray[np.float64]
 Gradients = dict[str, Array]
+Packed = npt.NDArray[np.float32]
 
 Timed = tuple[str, str, float, float, Callable[[], object]]
 """Stage, quantity, error, limit, and the work that is timed."""
@@ -73,24 +74,45 @@ def render_reference(
         ValueError: forward and backward kernels decided differently.
     """
     host = wide(scene)
-    camera = device.download(frame.view.camera).astype(np.float64)
     visible = device.download(frame.activations.visible)
-    activations = mlp.forward(host["feature"], host["position"], visible, host["weights"], camera)
-    gaussians = neural.forward(
-        activations.output, visible, host["position"], host["offset"], host["scaling"]
-    )
-    projected = project.forward(
-        gaussians.mean, gaussians.scale, gaussians.rotation, gaussians.opacity, camera
-    )
     names = ("gaussian", "row", "tile_range", "row_range")
     found = {name: device.download(getattr(frame.tiles, name)) for name in names}
     lists = tiles.TileLists(**found)
     decisions, back = blend_decisions(device, frame.blended, d_image)
     if not np.array_equal(decisions.contributed, back.contributed):
         raise ValueError("forward and backward kernels disagree on contributors")
-    background = device.download(frame.view.background).astype(np.float64)
+    camera, background = (
+        device.download(one) for one in (frame.view.camera, frame.view.background)
+    )
+    return _render(
+        host,
+        visible,
+        camera.astype(np.float64),
+        background.astype(np.float64),
+        frame.view.size,
+        lambda opacity, projected: (lists, decisions),
+    )
+
+
+def _render(
+    host: dict[str, Array],
+    visible: npt.NDArray[Any],
+    camera: Array,
+    background: Array,
+    size: tuple[int, int],
+    decide: Callable[[Array, project.Projected], tuple[tiles.TileLists, blend.Decisions]],
+    alpha_cut: float = ALPHA_CUT,
+) -> ReferenceFrame:
+    """Every stage; ``decide`` has the lists and decisions for opacities and what is projected."""
+    activations = mlp.forward(host["feature"], host["position"], visible, host["weights"], camera)
+    gaussians = neural.forward(
+        activations.output, visible, host["position"], host["offset"], host["scaling"]
+    )
+    shape = gaussians.mean, gaussians.scale, gaussians.rotation, gaussians.opacity
+    projected = project.forward(*shape, camera, alpha_cut=alpha_cut)
+    lists, decisions = decide(gaussians.opacity, projected)
     image = blend.forward(
-        projected, gaussians.color, gaussians.opacity, lists, background, frame.view.size, decisions
+        projected, gaussians.color, gaussians.opacity, lists, background, size, decisions
     ).image
     return ReferenceFrame(
         host, camera, background, activations, gaussians, projected, lists, decisions, image
@@ -195,8 +217,6 @@ RESOLUTION = 1e-18
 VERSION = b"untruncated 1"
 """Part of the cache's keys; to be changed with the numbers."""
 
-Packed = npt.NDArray[np.float32]
-
 
 def render_untruncated(
     scene: Scene, camera: Packed, size: tuple[int, int], background: Packed
@@ -209,64 +229,45 @@ def render_untruncated(
         size: width and height, pixels.
         background: (3,) float32.
     """
-    host, wide_camera = wide(scene), camera.astype(np.float64)
+    host, wide_camera, behind = wide(scene), camera.astype(float), background.astype(float)
     visible = cull.forward(host["position"], host["scaling"], wide_camera)
-    activations = mlp.forward(
-        host["feature"], host["position"], visible, host["weights"], wide_camera
-    )
-    gaussians = neural.forward(
-        activations.output, visible, host["position"], host["offset"], host["scaling"]
-    )
-    projected = project.forward(
-        gaussians.mean,
-        gaussians.scale,
-        gaussians.rotation,
-        gaussians.opacity,
-        wide_camera,
-        alpha_cut=RESOLUTION,
-    )
-    lists = box_lists(projected, *size)
-    # where alpha would exceed ALPHA_MAX: only Gaussians that are more opaque than that
-    saturated = np.zeros((len(lists.gaussian), TILE_SIZE**2), bool)
-    entries = np.flatnonzero(gaussians.opacity[lists.gaussian] > ALPHA_MAX)
-    gaussian = lists.gaussian[entries]
-    tile = np.searchsorted(lists.tile_range, entries, side="right") - 1
-    columns = -(-size[0] // TILE_SIZE)
-    y, x = (axis.ravel() + 0.5 for axis in np.mgrid[:TILE_SIZE, :TILE_SIZE])
-    corner = np.stack([tile % columns, tile // columns], axis=1) * TILE_SIZE
-    dx, dy = (
-        corner[:, axis, None] + centre - projected.mean2d[gaussian, axis, None]
-        for axis, centre in enumerate((x, y))
-    )
-    r1, slope, r2 = projected.whitening[gaussian].T[:, :, None]
-    power = 0.5 * ((dx * r1) ** 2 + ((dy - slope * dx) * r2) ** 2)
-    saturated[entries] = gaussians.opacity[gaussian, None] * np.exp(-power) > ALPHA_MAX
-    decisions = blend.Decisions(
-        np.ones((len(lists.gaussian), TILE_SIZE**2), bool),
-        saturated,
-    )
-    behind = background.astype(np.float64)
-    image = blend.forward(
-        projected, gaussians.color, gaussians.opacity, lists, behind, size, decisions
-    ).image
-    return ReferenceFrame(
-        host, wide_camera, behind, activations, gaussians, projected, lists, decisions, image
-    )
+
+    def decide(
+        opacity: Array, projected: project.Projected
+    ) -> tuple[tiles.TileLists, blend.Decisions]:
+        lists = box_lists(projected, *size)
+        # where alpha would exceed ALPHA_MAX: only Gaussians that are more opaque than that
+        saturated = np.zeros((len(lists.gaussian), TILE_SIZE**2), bool)
+        entries = np.flatnonzero(opacity[lists.gaussian] > ALPHA_MAX)
+        gaussian = lists.gaussian[entries]
+        tile = np.searchsorted(lists.tile_range, entries, side="right") - 1
+        columns = -(-size[0] // TILE_SIZE)
+        y, x = (axis.ravel() + 0.5 for axis in np.mgrid[:TILE_SIZE, :TILE_SIZE])
+        corner = np.stack([tile % columns, tile // columns], axis=1) * TILE_SIZE
+        dx, dy = (
+            corner[:, axis, None] + centre - projected.mean2d[gaussian, axis, None]
+            for axis, centre in enumerate((x, y))
+        )
+        r1, slope, r2 = projected.whitening[gaussian].T[:, :, None]
+        power = 0.5 * ((dx * r1) ** 2 + ((dy - slope * dx) * r2) ** 2)
+        saturated[entries] = opacity[gaussian, None] * np.exp(-power) > ALPHA_MAX
+        return lists, blend.Decisions(np.ones_like(saturated), saturated)
+
+    return _render(host, visible, wide_camera, behind, size, decide, RESOLUTION)
 
 
 def box_lists(projected: project.Projected, width: int, height: int) -> tiles.TileLists:
-    """Every Gaussian in every tile that its box touches, by tile, then depth."""
+    """Every Gaussian in every tile that its box overlaps, by tile, then depth."""
     grid = np.array([-(-width // TILE_SIZE), -(-height // TILE_SIZE)])
-    first = np.floor((projected.mean2d - projected.extent) / TILE_SIZE).clip(0, grid - 1)
-    last = np.floor((projected.mean2d + projected.extent) / TILE_SIZE).clip(0, grid - 1)
-    span = (last - first + 1).astype(np.int64)
+    low, high = projected.mean2d - projected.extent, projected.mean2d + projected.extent
+    first = np.floor(low / TILE_SIZE).clip(0, grid).astype(np.int64)
+    span = (np.floor(high / TILE_SIZE) + 1).clip(first, grid).astype(np.int64) - first
     counts = np.where(projected.extent[:, 0] > 0, span[:, 0] * span[:, 1], 0)
     row_range = np.concatenate([[0], np.cumsum(counts)])
     gaussian = np.repeat(np.arange(len(counts)), counts)
     within = np.arange(row_range[-1]) - row_range[gaussian]
-    column = first[gaussian, 0].astype(np.int64) + within % span[gaussian, 0]
-    line = first[gaussian, 1].astype(np.int64) + within // span[gaussian, 0]
-    tile = line * grid[0] + column
+    column = first[gaussian, 0] + within % span[gaussian, 0]
+    tile = (first[gaussian, 1] + within // span[gaussian, 0]) * grid[0] + column
     order = np.lexsort((gaussian, projected.depth[gaussian], tile))
     return tiles.TileLists(
         gaussian=gaussian[order],

@@ -13,7 +13,6 @@ if not FOLDER.is_dir():
     pytest.skip("needs a checkout", allow_module_level=True)
 sys.path.insert(0, str(FOLDER))
 try:
-    import estimate
     import matching
     import roofline
     import table
@@ -124,12 +123,6 @@ def test_a_row_shows_a_stage():
     row = list(table.by_stage(state(1), "bench"))[2]
     cells = [cell.strip() for cell in row.strip("|").split("|")]
     assert cells == ["project forward", "1", "1.00", "50%", "25%", "1.50", "4", "launches"]
-
-
-def test_scaling_is_checked_by_the_largest_scene():
-    assert estimate.scaling_errors(state(1)) == {
-        "project forward: project_forward": (100_000.0, 100_000.0)
-    }
 
 
 def test_blocks_of_rows_meet_blocks_of_columns():
