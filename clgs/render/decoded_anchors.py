@@ -24,14 +24,14 @@ from clgs.shapes import Shapes
 
 Indices = npt.NDArray[np.int32]
 
-SPECS = {
-    "means": "N 3",
-    "quats": "N 4",
-    "scales": "N 3",
-    "opacities": "N",
-    "colors": "N 3",
+FIELDS = {
+    "means": ("mean", "N 3"),
+    "quats": ("rotation", "N 4"),
+    "scales": ("scale", "N 3"),
+    "opacities": ("opacity", "N"),
+    "colors": ("color", "N 3"),
 }
-"""Shape of each array of Gaussians, for ``clgs.shapes``."""
+"""What the stages call each array of Gaussians, and its shape for ``clgs.shapes``."""
 
 
 def check_floats(name: str, array: object) -> None:
@@ -96,20 +96,14 @@ class DecodedAnchors:
         device, shapes = self.device, Shapes(N=len(self))
         d_arrays = d_means, d_quats, d_scales, d_opacities, d_colors
         hosts = {}
-        for (name, spec), array in zip(SPECS.items(), d_arrays, strict=True):
+        for (name, (field, spec)), array in zip(FIELDS.items(), d_arrays, strict=True):
             if array is None:
                 array = np.zeros(getattr(self, name).shape, np.float32)
             check_type(f"d_{name}", array, np.ndarray, "give a NumPy array")
             shapes.check(f"d_{name}", array, spec, np.float32)
-            hosts[name] = np.ascontiguousarray(array)
+            hosts[f"d_{field}"] = np.ascontiguousarray(array)
         given = {name: device.share(array) for name, array in hosts.items()}
-        d_gaussians = neural.GaussianGradients(
-            d_mean=given["means"],
-            d_scale=given["scales"],
-            d_rotation=given["quats"],
-            d_color=given["colors"],
-            d_opacity=given["opacities"],
-        )
+        d_gaussians = neural.GaussianGradients(**given)
         with device.stage("neural backward"):
             d_neural = neural.backward(
                 device, self.gaussians, self.activations, self.inputs.anchors, d_gaussians
@@ -168,11 +162,7 @@ def decode(
     slot = device.download(gaussians.slot)
     visible = device.download(activations.visible)
     return DecodedAnchors(
-        means=device.hand_over(gaussians.mean),
-        quats=device.hand_over(gaussians.rotation),
-        scales=device.hand_over(gaussians.scale),
-        opacities=device.hand_over(gaussians.opacity),
-        colors=device.hand_over(gaussians.color),
+        **{n: device.hand_over(getattr(gaussians, field)) for n, (field, _) in FIELDS.items()},
         anchor_ids=visible[slot // K_OFFSETS],
         offset_ids=slot % K_OFFSETS,
         device=device,

@@ -44,6 +44,10 @@ from clgs.torch.tensors import (
     tensor_rows,
 )
 
+HOST_ARRAYS = ("batch_ids", "camera_ids", "gaussian_ids", "tiles_per_gauss", "isect_ids",
+               "flatten_ids", "isect_offsets")  # fmt: skip
+"""What ``meta`` has of :func:`clgs.rasterization`'s."""
+
 STRATEGIES = ("DefaultStrategy", "MCMCStrategy", "Strategy")
 
 
@@ -186,13 +190,7 @@ def _meta(
         return None if value is None else torch.from_numpy(np.ascontiguousarray(value))
 
     makers: dict[str, Callable[[], Tensor | None]] = {
-        "batch_ids": partial(tensor_of, "batch_ids"),
-        "camera_ids": partial(tensor_of, "camera_ids"),
-        "gaussian_ids": partial(tensor_of, "gaussian_ids"),
-        "tiles_per_gauss": partial(tensor_of, "tiles_per_gauss"),
-        "isect_ids": partial(tensor_of, "isect_ids"),
-        "flatten_ids": partial(tensor_of, "flatten_ids"),
-        "isect_offsets": partial(tensor_of, "isect_offsets"),
+        **{name: partial(tensor_of, name) for name in HOST_ARRAYS},
         "radii": lambda: shaped(torch.from_numpy(call.radii)),
         "depths": lambda: shaped(depths),
         "opacities": lambda: shaped(opacities),

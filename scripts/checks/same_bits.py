@@ -18,7 +18,6 @@ import argparse
 import hashlib
 import json
 import os
-import struct
 import subprocess
 import sys
 import tempfile
@@ -29,6 +28,7 @@ import numpy as np
 
 import clgs
 from clgs import codec
+from clgs.codec.sections import read_container
 
 ROOT = Path(__file__).resolve().parents[2]
 ATTRIBUTES = ("position", "offset", "feature", "scaling")
@@ -65,20 +65,12 @@ def training(work: Path, fox: Path) -> Hashes:
         length = "--downscale", DOWNSCALE, "--steps", STEPS
         run_clgs("train", fox, "-o", run, *length, POCL_MAX_PTHREAD_COUNT=threads)
         data = (run / "scene.clgs").read_bytes()
-        for tag, section in sections(data):
-            yield f"fox, {threads} threads: section {tag}", sha256(section)
+        for tag, section in read_container(data)[1].items():
+            yield f"fox, {threads} threads: section {tag}", sha256(section.data)
         scene = clgs.decode(data)
         arrays = {name: getattr(scene.anchors, name) for name in ATTRIBUTES}
         for name, array in {**arrays, "weights": scene.mlps.flat}.items():
             yield f"fox, {threads} threads: decoded {name}", sha256(array.tobytes())
-
-
-def sections(data: bytes) -> Iterator[tuple[str, bytes]]:
-    """Tag and bytes of every section of a .clgs file, by its table (codec_c/FORMAT.md)."""
-    (count,) = struct.unpack_from("<I", data, 12)
-    for entry in range(count):
-        tag, _, offset, length = struct.unpack_from("<4sIQQ", data, 16 + 32 * entry)
-        yield tag.decode("ascii"), data[offset : offset + length]
 
 
 def coded_arrays(folder: Path) -> Hashes:

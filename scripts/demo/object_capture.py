@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -81,23 +82,30 @@ def view_of(camera_to_world: npt.NDArray[np.float64]) -> View:
     return View(rotation, -rotation @ centre, focal, SIZE, SIZE)
 
 
+def write_capture(
+    folder: Path,
+    views: Mapping[str, int],
+    photograph: Callable[[npt.NDArray[np.float64]], npt.NDArray[np.uint8]],
+) -> None:
+    """Write the pictures, RGBA, that ``photograph`` takes of each pose; ``views``: by split."""
+    for split, count in views.items():
+        (folder / split).mkdir(parents=True)
+        frames = []
+        for number in range(count):
+            name, camera_to_world = f"./{split}/r_{number}", pose(number, count)
+            Image.fromarray(photograph(camera_to_world)).save(folder / f"{name}.png")
+            frames.append({"file_path": name, "transform_matrix": camera_to_world.tolist()})
+        description = {"camera_angle_x": FIELD_OF_VIEW, "frames": frames}
+        (folder / f"transforms_{split}.json").write_text(json.dumps(description))
+
+
 def main(arguments: list[str]) -> int:
     """Write the capture; exit code 2 for wrong usage."""
     if len(arguments) != 1:
         print("usage: object_capture.py FOLDER", file=sys.stderr)
         return 2
-    folder, scene = Path(arguments[0]), GlossyScene(exhibits(), LIGHT)
-    for split, count in VIEWS.items():
-        (folder / split).mkdir(parents=True)
-        frames = []
-        for number in range(count):
-            camera_to_world = pose(number, count)
-            picture = Image.fromarray(scene.photograph(view_of(camera_to_world)))
-            picture.save(folder / split / f"r_{number}.png")
-            name = f"./{split}/r_{number}"
-            frames.append({"file_path": name, "transform_matrix": camera_to_world.tolist()})
-        description = {"camera_angle_x": FIELD_OF_VIEW, "frames": frames}
-        (folder / f"transforms_{split}.json").write_text(json.dumps(description))
+    scene = GlossyScene(exhibits(), LIGHT)
+    write_capture(Path(arguments[0]), VIEWS, lambda seen: scene.photograph(view_of(seen)))
     return 0
 
 

@@ -7,14 +7,13 @@ setting of clgs was chosen on.
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from object_capture import FIELD_OF_VIEW, SIZE, pose
-from PIL import Image
+import numpy.typing as npt
+from object_capture import FIELD_OF_VIEW, SIZE, write_capture
 
 import clgs
 from clgs.data.splats.gaussians import load_splats
@@ -46,33 +45,28 @@ def photograph(splats: Path, folder: Path, up: float) -> None:
     to_splats = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, up], [0.0, -up, 0.0]])  # of a world with z up
     focal = 0.5 * SIZE / np.tan(0.5 * FIELD_OF_VIEW)
     lens = np.array([[focal, 0.0, SIZE / 2], [0.0, focal, SIZE / 2], [0.0, 0.0, 1.0]], np.float32)
-    for split, count in VIEWS.items():
-        (folder / split).mkdir(parents=True)
-        frames = []
-        for number in range(count):
-            camera_to_world = pose(number, count)
-            name = f"./{split}/r_{number}"
-            frames.append({"file_path": name, "transform_matrix": camera_to_world.tolist()})
-            seen = np.eye(4)
-            seen[:3, :3] = to_splats @ camera_to_world[:3, :3] * [1.0, -1.0, -1.0]
-            seen[:3, 3] = to_splats @ camera_to_world[:3, 3]
-            color, alpha, _ = clgs.rasterization(
-                mean[kept].astype(np.float32),
-                gaussians.rotation[kept],
-                np.exp(gaussians.log_scale[kept]) * np.float32(scale),
-                1 / (1 + np.exp(-gaussians.opacity[kept])),
-                gaussians.sh[kept],
-                np.linalg.inv(seen)[None].astype(np.float32),
-                lens[None],
-                SIZE,
-                SIZE,
-                sh_degree=int(np.sqrt(gaussians.sh.shape[1])) - 1,
-            )
-            straight = np.where(alpha > LEAST_ALPHA, color / np.maximum(alpha, LEAST_ALPHA), 0.0)
-            pixels = np.concatenate([straight, alpha], axis=-1)[0].clip(0, 1)
-            Image.fromarray(np.rint(255 * pixels).astype(np.uint8)).save(folder / f"{name}.png")
-        description = {"camera_angle_x": FIELD_OF_VIEW, "frames": frames}
-        (folder / f"transforms_{split}.json").write_text(json.dumps(description))
+
+    def seen_by(camera_to_world: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
+        seen = np.eye(4)
+        seen[:3, :3] = to_splats @ camera_to_world[:3, :3] * [1.0, -1.0, -1.0]
+        seen[:3, 3] = to_splats @ camera_to_world[:3, 3]
+        color, alpha, _ = clgs.rasterization(
+            mean[kept].astype(np.float32),
+            gaussians.rotation[kept],
+            np.exp(gaussians.log_scale[kept]) * np.float32(scale),
+            1 / (1 + np.exp(-gaussians.opacity[kept])),
+            gaussians.sh[kept],
+            np.linalg.inv(seen)[None].astype(np.float32),
+            lens[None],
+            SIZE,
+            SIZE,
+            sh_degree=int(np.sqrt(gaussians.sh.shape[1])) - 1,
+        )
+        straight = np.where(alpha > LEAST_ALPHA, color / np.maximum(alpha, LEAST_ALPHA), 0.0)
+        pixels = np.concatenate([straight, alpha], axis=-1)[0].clip(0, 1)
+        return np.rint(255 * pixels).astype(np.uint8)
+
+    write_capture(folder, VIEWS, seen_by)
 
 
 def main(arguments: list[str]) -> int:

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import hashlib
-import time
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from statistics import median
-from typing import Any, TypeVar
+from typing import Any
 
 from clgs.codec.scene_decoder import decode, describe
 from clgs.codec.scene_encoder import encode
 from clgs.data.dataset import Dataset
-from clgs.lab.figures import machine_facts
+from clgs.lab.figures import machine_facts, take_turns
 from clgs.opencl.device import Device
 from clgs.options import RenderOptions
 from clgs.train.quality.scores import evaluate_views, summarize
 from clgs.train.state.hashes import scene_hash
-
-Result = TypeVar("Result")
 
 TIMES = 3
 """Runs of encoding and decoding, of which the median is taken."""
@@ -27,8 +24,9 @@ TIMES = 3
 def measure(file: Path, dataset: Dataset, device: Device, options: RenderOptions) -> dict[str, Any]:
     """All that is measured on a ``.clgs`` file after training, ready for JSON."""
     data = file.read_bytes()
-    decode_seconds, scene = timed(lambda: decode(data))
-    encode_seconds, again = timed(lambda: encode(scene))
+    scene = decode(data)
+    coders = {"encode": partial(encode, scene), "decode": partial(decode, data)}
+    times = take_turns(coders, TIMES)
     views = dataset.test or dataset.train
     scores = evaluate_views(device, scene, views, options=options)
     summary = summarize(scene, scores, len(data))
@@ -39,20 +37,9 @@ def measure(file: Path, dataset: Dataset, device: Device, options: RenderOptions
         "sections": describe(data)["sections"],
         "sha256": hashlib.sha256(data).hexdigest(),
         "scene_hash": scene_hash(scene),
-        "encodes_alike": again == data,
-        "encode_seconds": encode_seconds,
-        "decode_seconds": decode_seconds,
+        "encodes_alike": encode(scene) == data,
+        **{f"{name}_seconds": median(each) / 1e3 for name, each in times.items()},
         "pictures_per_second": 1.0 / median(score.seconds for score in scores),
         "scales": dict(vars(scene.scales)),
         "machine": machine_facts(device),
     }
-
-
-def timed(work: Callable[[], Result]) -> tuple[float, Result]:
-    """The median of TIMES runs of ``work``, seconds, and what it gave."""
-    seconds = []
-    for _ in range(TIMES):
-        start = time.perf_counter()
-        result = work()
-        seconds.append(time.perf_counter() - start)
-    return median(seconds), result

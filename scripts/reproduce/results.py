@@ -96,12 +96,6 @@ def read_results(table: Table, all_entries: Iterable[Entry], output: Path) -> Re
     return found
 
 
-def curve_of(groups: Sequence[Group], scene: str) -> Curve:
-    """The points (bytes, dB) of a scene, means over seeds."""
-    own = [one for one in groups if one.entry.scene == scene]
-    return [(one.mean("bytes"), one.mean("psnr")) for one in own]
-
-
 def compare(results: Results, baseline: Sequence[Point]) -> list[Comparison]:
     """Every curve over lambda against the points of another state on the same scene.
 
@@ -113,8 +107,9 @@ def compare(results: Results, baseline: Sequence[Point]) -> list[Comparison]:
             continue
         groups = results.groups(one.name)
         for scene in dict.fromkeys(group.entry.scene for group in groups):
-            theirs = matching(baseline, groups, scene)
-            found.append(_compare(one.name, scene, curve_of(groups, scene), theirs))
+            own = [group for group in groups if group.entry.scene == scene]
+            ours = [(group.mean("bytes"), group.mean("psnr")) for group in own]
+            found.append(_compare(one.name, scene, ours, matching(baseline, groups, scene)))
     return found
 
 

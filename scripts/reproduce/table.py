@@ -9,7 +9,7 @@ from typing import Any
 
 from clgs.cluster.table import Settings, checked, named, only, read_toml
 from clgs.errors import UsageError
-from clgs.train.config import TrainConfig, layered
+from clgs.train.config import layered
 from clgs.train.config.sources import find
 
 KINDS = ("main", "curve", "ablation")
@@ -262,8 +262,3 @@ def _seeds(one: Mapping[str, Any], where: str) -> list[int]:
     if not usable or not seeds:
         raise UsageError(f"{where}.seeds: {seeds!r}; give whole numbers, such as [0, 1, 2]")
     return list(dict.fromkeys(seeds))
-
-
-def config_of(job: Mapping[str, Any]) -> TrainConfig:
-    """The configuration of a run, not yet resolved for its data set."""
-    return layered(job["settings"])

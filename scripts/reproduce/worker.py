@@ -52,16 +52,16 @@ def stored_row(folder: Path, run: str) -> Row | None:
 def _make_row(job: Task, folder: Path, tell: Tell) -> Row:
     """Train and measure."""
     from clgs.machine import return_freed_memory
+    from clgs.train.config import layered
     from clgs.train.run.load import load_for
     from clgs.train.run.session import train_scene
     from reproduce.measure import measure
-    from reproduce.table import config_of
 
     return_freed_memory()
     device = opened_device(job.get("device"))
     device.release_unused()
     forget_peak_memory()
-    config = config_of(job)
+    config = layered(job["settings"])
     reporter = Reporter(job["run"], config.steps, tell)
     reporter.now("reading photos")
     start = time.perf_counter()

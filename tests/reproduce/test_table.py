@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from reproduce.table import chosen, config_of, entries, jobs, read_table
+from reproduce.table import chosen, entries, jobs, read_table
 
 from clgs.errors import UsageError
+from clgs.train.config import layered
 from tests.reproduce.conftest import SCRIPTS, TABLE
 
 
@@ -36,7 +37,7 @@ def test_equal_runs_are_one(table_file, tmp_path):
     assert len(tasks) == len(set(run.values())) == 4
     assert {job["settings"]["seed"] for job in tasks} == {0, 1}
     assert tasks[0]["data"] == str(tmp_path / "balls")
-    assert config_of(tasks[0]).checkpoint_interval == 3
+    assert layered(tasks[0]["settings"]).checkpoint_interval == 3
 
 
 def test_other_steps_are_other_runs_and_move_what_is_named(tmp_path):

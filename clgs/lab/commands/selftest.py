@@ -76,19 +76,17 @@ def verdict(checks: list[Check], problem: str) -> str:
 
 def show(device: Device, checks: list[Check]) -> None:
     """Print a row per check."""
-    from rich.console import Console
-    from rich.table import Table
+    from clgs.lab.figures import show_table
 
-    table = Table("stage", "quantity", title=f"{device.name} ({device.specialisation})")
-    for column in ("error", "limit", "ms", ""):
-        table.add_column(column, justify="right")
-    for check in checks:
-        table.add_row(
-            check.stage,
-            check.quantity,
+    rows = (
+        (
+            f"{check.stage}: {check.quantity}",
             f"{check.error:.2e}",
             f"{check.limit:.0e}",
             f"{check.milliseconds:.2f}",
             "ok" if check.passed else "FAIL",
         )
-    Console().print(table)
+        for check in checks
+    )
+    head = ("stage and quantity", "error", "limit", "ms", "")
+    show_table(f"{device.name} ({device.specialisation})", head, rows)
