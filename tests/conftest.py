@@ -85,6 +85,22 @@ def shared_data() -> Path:
 
 
 @pytest.fixture
+def refusal(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """``refusal(code, *words)``: the one line that a command says, which ends with this code."""
+    from tests.cli.calls import exit_code
+
+    def refused(code: int, *words: object) -> str:
+        capsys.readouterr()
+        assert exit_code([str(word) for word in words]) == code
+        out, err = capsys.readouterr()
+        assert (out, err.count("\n")) == ("", 1), out + err
+        assert err.startswith("clgs: error: ")
+        return err.removeprefix("clgs: error: ")
+
+    return refused
+
+
+@pytest.fixture
 def rng() -> np.random.Generator:
     """Random numbers, the same in every run."""
     return np.random.default_rng(20240607)

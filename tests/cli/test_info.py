@@ -16,18 +16,16 @@ from tests.codec.scenes import random_scene
 from tests.exports.splats.cases import gaussians
 
 
-def test_a_missing_file_exits_3(tmp_path, capsys):
-    assert main(["info", str(tmp_path / "none.clgs")]) == 3
-    assert "none.clgs: no such file" in capsys.readouterr().err
-    assert main(["info", "https://example.org/scene.clgs"]) == 3
-    assert "or read the address by clgs.decode" in capsys.readouterr().err
+def test_a_missing_file_exits_3(tmp_path, refusal):
+    assert "none.clgs: no such file" in refusal(3, "info", tmp_path / "none.clgs")
+    said = refusal(3, "info", "https://example.org/scene.clgs")
+    assert "or read the address by clgs.decode" in said
 
 
 @pytest.mark.parametrize("data", [b"", b"x", b"PK\x03\x04" * 100, bytes(1000)])
-def test_another_file_exits_3(tmp_path, capsys, data):
+def test_another_file_exits_3(tmp_path, refusal, data):
     (tmp_path / "x.clgs").write_bytes(data)
-    assert main(["info", str(tmp_path / "x.clgs")]) == 3
-    assert capsys.readouterr().err.count("\n") == 1
+    refusal(3, "info", tmp_path / "x.clgs")
 
 
 def test_a_file_that_is_cut_is_called_so(tmp_path, capsys):

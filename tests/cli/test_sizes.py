@@ -13,7 +13,6 @@ from PIL import Image
 from clgs.arguments import byte_count, seconds
 from clgs.cli.main import build_parser, main
 from clgs.train.config import from_toml
-from tests.cli.calls import exit_code
 from tests.small_scene import write_scene
 
 
@@ -78,11 +77,9 @@ def test_another_width_is_another_run(command, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("name", ["train", "eval", "render", "run"])
-def test_photos_of_a_few_pixels_are_refused(name, tmp_path, capsys):
-    with pytest.raises(SystemExit) as caught:
-        main([name, str(tmp_path), "--max-size", "3", *(["-o", "x"] if name != "eval" else [])])
-    assert caught.value.code == 2
-    assert "--max-size: 3 is out of range; give a whole number" in capsys.readouterr().err
+def test_photos_of_a_few_pixels_are_refused(name, tmp_path, refusal):
+    said = refusal(2, name, tmp_path, "--max-size", "3", *(["-o", "x"] if name != "eval" else []))
+    assert "--max-size: 3 is out of range; give a whole number" in said
 
 
 def test_a_scene_alone_is_drawn_at_the_default_size(command, tmp_path, capsys):
@@ -148,9 +145,9 @@ def test_times_are_taken_as_people_write_them(text, value):
         "\n", ";"
     ).split(";"),
 )
-def test_digits_of_other_scripts_are_refused_with_the_reason(words, capsys):
-    assert exit_code(words.replace("#", "\u0665").split()) == 2
-    assert re.search("\u0665[km]? has digits other than 0 to 9; ", capsys.readouterr().err)
+def test_digits_of_other_scripts_are_refused_with_the_reason(words, refusal):
+    said = refusal(2, *words.replace("#", "\u0665").split())
+    assert re.search("\u0665[km]? has digits other than 0 to 9; ", said)
 
 
 @pytest.mark.parametrize(
@@ -161,9 +158,8 @@ def test_digits_of_other_scripts_are_refused_with_the_reason(words, capsys):
         *("encode r -o x --q 1_00,1,1,8", "pack s -o x --step scale=1_0"),
     ],
 )
-def test_numbers_have_no_underscores(words, capsys):
-    assert exit_code(words.split()) == 2
-    assert re.search(r"1_0+\b", capsys.readouterr().err)
+def test_numbers_have_no_underscores(words, refusal):
+    assert re.search(r"1_0+\b", refusal(2, *words.split()))
 
 
 @pytest.mark.parametrize(
@@ -186,9 +182,7 @@ def test_values_are_taken_as_people_write_them(words, value):
     assert shown == ([0.1, 2.0] if value is None else value)
 
 
-def test_a_size_of_no_known_unit_is_answered_by_examples(capsys):
-    with pytest.raises(SystemExit, match="2"):
-        main(["train", "data", "-o", "run", "--target-size", "200q"])
-    message = capsys.readouterr().err
+def test_a_size_of_no_known_unit_is_answered_by_examples(refusal):
+    message = refusal(2, "train", "data", "-o", "run", "--target-size", "200q")
     assert "--target-size: '200q' is not a whole number" in message
     assert "such as 800k or 1.5M" in message

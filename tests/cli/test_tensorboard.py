@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-from clgs.cli import main as cli
 from clgs.cli.commands.train import EventLog
 from clgs.train.run.session import Progress
 from clgs.train.run.trainer import StepResult
@@ -33,7 +32,7 @@ def test_scalars_are_read_back(tmp_path):
     assert read["loss/l1"] == [(100, 0.25), (200, 0.25)]
 
 
-def test_missing_library_is_named(monkeypatch, tmp_path, capsys):
+def test_missing_library_is_named(monkeypatch, tmp_path, refusal):
     monkeypatch.setattr("clgs.cli.commands.train.find_spec", lambda name: None)
-    assert cli.main(["train", str(tmp_path), "-o", str(tmp_path / "run"), "--tensorboard"]) == 2
-    assert "clgs[tensorboard]" in capsys.readouterr().err
+    said = refusal(2, "train", tmp_path, "-o", tmp_path / "run", "--tensorboard")
+    assert "clgs[tensorboard]" in said

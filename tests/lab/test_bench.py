@@ -40,10 +40,9 @@ def test_width_and_height_are_given_apart(capsys):
 
 
 @pytest.mark.parametrize("size", ["8x", "x", "8x8x8"])
-def test_what_is_no_size_is_told_by_an_example(capsys, size):
-    with pytest.raises(SystemExit):
-        main(["bench", "step", "--size", size])
-    assert f"--size: {size} is not WIDTHxHEIGHT, such as 1920x1080" in capsys.readouterr().err
+def test_what_is_no_size_is_told_by_an_example(refusal, size):
+    said = refusal(2, "bench", "step", "--size", size)
+    assert f"--size: {size} is not WIDTHxHEIGHT, such as 1920x1080" in said
 
 
 @pytest.mark.parametrize(
@@ -58,21 +57,15 @@ def test_what_is_no_size_is_told_by_an_example(capsys, size):
         (["scaling", "--sizes", "40", "16385"], "--sizes"),
     ],
 )
-def test_more_than_a_device_can_hold_is_refused(capsys, arguments, named):
-    with pytest.raises(SystemExit) as refused:
-        main(["bench", *arguments])
-    assert refused.value.code == 2
-    said = capsys.readouterr().err
-    assert said.startswith(f"clgs: error: {named}: ")
-    assert len(said.splitlines()) == 1
+def test_more_than_a_device_can_hold_is_refused(refusal, arguments, named):
+    assert refusal(2, "bench", *arguments).startswith(f"{named}: ")
 
 
 @pytest.mark.parametrize("kind", ["scaling", "accuracy"])
 @pytest.mark.parametrize(("plot", "said"), [("x.svg", "same file"), ("x.png", "are SVG")])
-def test_figures_need_a_file_of_their_own(tmp_path, monkeypatch, capsys, kind, plot, said):
+def test_figures_need_a_file_of_their_own(tmp_path, monkeypatch, refusal, kind, plot, said):
     monkeypatch.chdir(tmp_path)
-    assert main(["bench", kind, "-o", "x.svg", "--plot", f"./{plot}"]) == 2
-    assert said in capsys.readouterr().err
+    assert said in refusal(2, "bench", kind, "-o", "x.svg", "--plot", f"./{plot}")
     assert not list(tmp_path.iterdir())
 
 
@@ -157,15 +150,14 @@ def test_the_case_of_suffixes_does_not_matter(tmp_path):
     assert len(names) == 6
 
 
-def test_codec_names_what_it_cannot_read(tmp_path, capsys):
+def test_codec_names_what_it_cannot_read(tmp_path, refusal):
     (tmp_path / "bad.npz").write_bytes(b"no archive")
     (tmp_path / "bad.clgs").write_bytes(b"no scene")
     np.savez(tmp_path / "wide.npz", values=np.array([[2**31]]))
     bad = [tmp_path / name for name in ("bad.npz", "none.npz", "empty", "bad.clgs", "wide.npz")]
     for data in bad:
         (tmp_path / "empty").mkdir(exist_ok=True)
-        assert main(["bench", "codec", str(data)]) == 3
-        assert str(data) in capsys.readouterr().err
+        assert str(data) in refusal(3, "bench", "codec", data)
 
 
 def test_absent_compressors_are_named_and_left_out(codec_file, capsys, monkeypatch):

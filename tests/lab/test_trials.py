@@ -105,23 +105,20 @@ def test_the_photos_are_the_same_everywhere(tmp_path):
     assert np.allclose(axes @ axes.transpose(0, 2, 1), np.eye(3))
 
 
-def test_the_file_is_not_replaced_unasked(tmp_path, capsys):
+def test_the_file_is_not_replaced_unasked(tmp_path, refusal):
     (tmp_path / "accept.json").write_text("{}")
-    assert cli.main(["accept", "-o", str(tmp_path / "accept.json")]) == 2
-    assert "--overwrite" in capsys.readouterr().err
+    assert "--overwrite" in refusal(2, "accept", "-o", tmp_path / "accept.json")
 
 
-def test_data_that_cannot_be_trained_on_are_refused_at_once(tmp_path, capsys):
+def test_data_that_cannot_be_trained_on_are_refused_at_once(tmp_path, refusal):
     words = ["accept", "-o", str(tmp_path / "accept.json"), "--data", str(tmp_path)]
-    assert cli.main(words) == 3
-    assert str(tmp_path) in capsys.readouterr().err
+    assert str(tmp_path) in refusal(3, *words)
     assert not (tmp_path / "accept.json").exists()
 
 
-def test_unknown_device_is_named(tmp_path, capsys):
+def test_unknown_device_is_named(tmp_path, refusal):
     words = ["accept", "-o", str(tmp_path / "accept.json"), "--device", "nonexistent"]
-    assert cli.main(words) == 4
-    assert "nonexistent" in capsys.readouterr().err
+    assert "nonexistent" in refusal(4, *words)
     assert not (tmp_path / "accept.json").exists()
 
 

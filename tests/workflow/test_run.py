@@ -56,13 +56,12 @@ def finished(data, tmp_path_factory):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="folders cannot be locked on Windows")
-def test_a_folder_in_use_is_left_alone(data, tmp_path, capsys):
+def test_a_folder_in_use_is_left_alone(data, tmp_path, refusal):
     out = tmp_path / "out"
     out.mkdir()
     lock = FolderLock(out)
     for more in ([], ["--overwrite"], ["--resume"]):
-        assert cli.main(words(data, out, *more)) == 3
-        assert "another process works in it" in capsys.readouterr().err
+        assert "another process works in it" in refusal(3, *words(data, out, *more))
     assert not list(out.iterdir())
     lock.release()
 
@@ -98,9 +97,8 @@ def test_everything_is_there(finished):
         assert (finished / name).exists() == (f'href="{name}"' in page)
 
 
-def test_run_is_neither_replaced_nor_continued_unasked(data, finished, capsys):
-    assert cli.main(words(data, finished)) == 2
-    assert "--resume" in capsys.readouterr().err
+def test_run_is_neither_replaced_nor_continued_unasked(data, finished, refusal):
+    assert "--resume" in refusal(2, *words(data, finished))
 
 
 def test_finished_run_is_left_as_it_is(data, finished, capsys):
@@ -128,12 +126,12 @@ def test_what_is_damaged_or_gone_is_made_again(data, finished, capsys):
     assert "[page] is there" in capsys.readouterr().out
 
 
-def test_a_run_without_its_plan_is_refused(data, finished, capsys):
+def test_a_run_without_its_plan_is_refused(data, finished, refusal):
     plan = finished / "plan.json"
     text = plan.read_text()
     plan.unlink()
-    assert cli.main(words(data, finished, "--resume")) == 2
-    assert "holds a run, but not its plan.json; finish" in capsys.readouterr().err
+    said = refusal(2, *words(data, finished, "--resume"))
+    assert "holds a run, but not its plan.json; finish" in said
     plan.write_text(text)
 
 
@@ -181,33 +179,30 @@ def test_the_folder_of_a_run_is_written_as_its_scene(finished, tmp_path):
 
 
 @pytest.mark.parametrize("command", ["eval", "export"])
-def test_what_is_not_finished_has_to_go_on(tmp_path, command, capsys):
+def test_what_is_not_finished_has_to_go_on(tmp_path, command, refusal):
     out = tmp_path / "out"
     (out / "run").mkdir(parents=True)
     (out / "plan.json").write_text("{}")
     (out / "run" / "config.toml").touch()
     for folder in (out, out / "run"):
         more = ["--data", str(tmp_path)] if command == "eval" else ["-o", str(tmp_path / "x.html")]
-        assert cli.main([command, str(folder), *more]) == 3
-        assert "let `clgs run` finish (--resume)" in capsys.readouterr().err
+        assert "let `clgs run` finish (--resume)" in refusal(3, command, folder, *more)
 
 
-def test_run_goes_on_with_its_own_input_and_options_alone(data, finished, tmp_path, capsys):
+def test_run_goes_on_with_its_own_input_and_options_alone(data, finished, tmp_path, refusal):
     other = write_scene(tmp_path / "other", train=3, test=1)
-    assert cli.main(words(other, finished, "--resume")) == 2
-    assert f"is a run of {data}" in capsys.readouterr().err
-    assert cli.main(words(data, finished, "--resume", "--steps", "31")) == 2
-    assert "--steps: the run in" in capsys.readouterr().err
-    assert cli.main([*words(data, finished, "--resume"), "--target-size", "90k"]) == 2
-    assert "give one of the two" in capsys.readouterr().err
-    assert cli.main([*words(data, finished, "--resume"), "--lambda", "0.7"]) == 2
-    assert "--lambda: the run in" in capsys.readouterr().err
-    assert cli.main([*words(data, finished, "--resume"), "--background", "white"]) == 2
-    assert "has its default; leave it out" in capsys.readouterr().err
+    assert f"is a run of {data}" in refusal(2, *words(other, finished, "--resume"))
+    assert "--steps: the run in" in refusal(2, *words(data, finished, "--resume", "--steps", "31"))
+    said = refusal(2, *words(data, finished, "--resume"), "--target-size", "90k")
+    assert "give one of the two" in said
+    said = refusal(2, *words(data, finished, "--resume"), "--lambda", "0.7")
+    assert "--lambda: the run in" in said
+    said = refusal(2, *words(data, finished, "--resume"), "--background", "white")
+    assert "has its default; leave it out" in said
     assert "--steps 30 --max-size 40" in (finished / "report.html").read_text()
 
 
-def test_damaged_photos_do_not_end_the_plan(tmp_path, capsys):
+def test_damaged_photos_do_not_end_the_plan(tmp_path, refusal):
     photos, out = tmp_path / "photos", tmp_path / "out"
     photos.mkdir()
     for name, color in (("b", "red"), ("c", "blue"), ("d", "green")):
@@ -215,15 +210,14 @@ def test_damaged_photos_do_not_end_the_plan(tmp_path, capsys):
     (photos / "a.png").write_bytes((photos / "b.png").read_bytes()[:20])
     assert find_input(photos).photos == Photos(3, 64, 48)
     (photos / "d.png").write_bytes(b"")
-    assert cli.main(words(photos, out)) == 3
-    said = capsys.readouterr().err
+    said = refusal(3, *words(photos, out))
     assert "2 photos that can be read" in said
     assert "a.png" in said
     assert "d.png" in said
     assert not out.exists()
 
 
-def test_run_goes_on_with_its_own_photos_alone(tmp_path, capsys):
+def test_run_goes_on_with_its_own_photos_alone(tmp_path, refusal):
     photos, out = tmp_path / "photos", tmp_path / "out"
     photos.mkdir()
     for name in ("red", "green", "blue"):
@@ -231,11 +225,11 @@ def test_run_goes_on_with_its_own_photos_alone(tmp_path, capsys):
     (out / "data").mkdir(parents=True)
     begun = RunRecord(str(photos.resolve()), 2, "", 600.0)
     begun.write(out)
-    assert cli.main(words(photos, out, "--resume")) == 2
-    assert f"has 3 photos, and the run in {out} began with 2" in capsys.readouterr().err
+    said = refusal(2, *words(photos, out, "--resume"))
+    assert f"has 3 photos, and the run in {out} began with 2" in said
     replace(begun, photos=3).write(out)  # as many, but others
-    assert cli.main(words(photos, out, "--resume")) == 2
-    assert f"holds other photos than the run in {out} began with" in capsys.readouterr().err
+    said = refusal(2, *words(photos, out, "--resume"))
+    assert f"holds other photos than the run in {out} began with" in said
     replace(begun, photos=3, digest=find_input(photos).digest).write(out)
     assert cli.main(words(photos, out, "--resume", "--device", "nonexistent")) == 4
     begun.write(out)
@@ -243,15 +237,14 @@ def test_run_goes_on_with_its_own_photos_alone(tmp_path, capsys):
     assert cli.main(words(photos, out, "--resume", "--device", "nonexistent")) == 4
 
 
-def test_run_that_was_interrupted_before_training_goes_on(data, tmp_path, capsys):
+def test_run_that_was_interrupted_before_training_goes_on(data, tmp_path, capsys, refusal):
     out = tmp_path / "out"
     out.mkdir()
     RunRecord(str(data.resolve()), 4, "", 600.0).write(out)
     assert cli.main(words(data, out, "--resume", "--device", "nonexistent")) == 4
     capsys.readouterr()
     (out / "plan.json").write_text("{}")
-    assert cli.main(words(data, out, "--resume")) == 3
-    assert "is damaged" in capsys.readouterr().err
+    assert "is damaged" in refusal(3, *words(data, out, "--resume"))
 
 
 @pytest.mark.slow
@@ -269,12 +262,11 @@ def test_what_follows_from_the_plan_is_kept(data, tmp_path, capsys):
     assert "--coarse-to-fine" not in page
 
 
-def test_output_of_a_run_is_no_input(finished, tmp_path, capsys):
-    assert cli.main(words(finished, tmp_path / "out")) == 3
-    assert "was made by clgs run" in capsys.readouterr().err
+def test_output_of_a_run_is_no_input(finished, tmp_path, refusal):
+    assert "was made by clgs run" in refusal(3, *words(finished, tmp_path / "out"))
 
 
-def test_scores_need_the_photos_of_the_scene(data, finished, tmp_path, capsys):
+def test_scores_need_the_photos_of_the_scene(data, finished, tmp_path, refusal):
     assert cli.main(["eval", str(finished / "run")]) == 0
     wrong = write_scene(tmp_path / "wrong", train=3, test=1)
     for kind in ("train", "test"):
@@ -283,21 +275,18 @@ def test_scores_need_the_photos_of_the_scene(data, finished, tmp_path, capsys):
         for frame in document["frames"]:
             frame["transform_matrix"][0][3] += 40.0
         path.write_text(json.dumps(document))
-    assert cli.main(["eval", str(finished / "run"), "--data", str(wrong)]) == 3
-    assert "these photos show another scene" in capsys.readouterr().err
+    said = refusal(3, "eval", finished / "run", "--data", wrong)
+    assert "these photos show another scene" in said
     further = ["train", str(wrong), "--from", str(finished / "run"), "-o", str(tmp_path / "new")]
-    assert cli.main(further) == 3
-    assert "these photos show another scene" in capsys.readouterr().err
+    assert "these photos show another scene" in refusal(3, *further)
     further[1:2] = [str(data), "--box=50,50,50,51,51,51"]
-    assert cli.main(further) == 2
-    assert "holds none of the anchors of" in capsys.readouterr().err
+    assert "holds none of the anchors of" in refusal(2, *further)
     assert not (tmp_path / "new").exists()
 
 
-def test_foreign_folder_is_refused(data, tmp_path, capsys):
+def test_foreign_folder_is_refused(data, tmp_path, refusal):
     (tmp_path / "mine.txt").touch()
-    assert cli.main(words(data, tmp_path, "--overwrite")) == 2
-    assert "holds other files" in capsys.readouterr().err
+    assert "holds other files" in refusal(2, *words(data, tmp_path, "--overwrite"))
 
 
 def test_nothing_to_go_on_with_is_named(data, tmp_path, capsys):
@@ -306,10 +295,9 @@ def test_nothing_to_go_on_with_is_named(data, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("name", ["missing", "empty"])
-def test_nothing_to_train_on_is_named(tmp_path, capsys, name):
+def test_nothing_to_train_on_is_named(tmp_path, refusal, name):
     (tmp_path / "empty").mkdir()
-    assert cli.main(words(tmp_path / name, tmp_path / "out")) == 3
-    assert name in capsys.readouterr().err
+    assert name in refusal(3, *words(tmp_path / name, tmp_path / "out"))
     assert not (tmp_path / "out").exists()
 
 
@@ -322,15 +310,13 @@ def test_nothing_to_train_on_is_named(tmp_path, capsys, name):
         (["--set", "voxel=-2"], "voxel: -2 is out of range"),
     ],
 )
-def test_settings_of_the_plan_are_refused(data, tmp_path, more, said, capsys):
-    assert cli.main(words(data, tmp_path / "out", *more)) == 2
-    assert said in capsys.readouterr().err
+def test_settings_of_the_plan_are_refused(data, tmp_path, more, said, refusal):
+    assert said in refusal(2, *words(data, tmp_path / "out", *more))
     assert not (tmp_path / "out").exists()
 
 
-def test_contradiction_is_refused(data, tmp_path, capsys):
-    assert cli.main(words(data, tmp_path / "out", "--resume", "--overwrite")) == 2
-    assert "give one" in capsys.readouterr().err
+def test_contradiction_is_refused(data, tmp_path, refusal):
+    assert "give one" in refusal(2, *words(data, tmp_path / "out", "--resume", "--overwrite"))
 
 
 @pytest.mark.slow

@@ -142,15 +142,12 @@ def test_without_a_file_the_shipped_hashes_are_compared(found, capsys, monkeypat
     "text",
     ["no JSON", "[]", "{}", '{"format": "x"}', '{"format": "clgs conformance 1"}', "[" * 100_000],
 )
-def test_a_file_of_another_kind_is_refused_before_the_work(tmp_path, capsys, monkeypatch, text):
+def test_a_file_of_another_kind_is_refused_before_the_work(tmp_path, refusal, monkeypatch, text):
     monkeypatch.setattr("clgs.lab.selftest.conformance.fingerprints", None)
     path = tmp_path / "bad.json"
     path.write_text(text)
     for wrong in (path, tmp_path, path / "x", tmp_path / ("x" * 300), Path("/dev/zero")):
-        assert main(["conformance", "--check", str(wrong)]) == 3
-        said = capsys.readouterr().err
-        assert str(wrong) in said
-        assert said.count("\n") == 1
+        assert str(wrong) in refusal(3, "conformance", "--check", wrong)
 
 
 def test_another_set_of_tensors_is_refused(found):
@@ -158,21 +155,18 @@ def test_another_set_of_tensors_is_refused(found):
         differences(found, found[1:])
 
 
-def test_a_hash_that_is_no_text_is_refused_before_the_work(found, tmp_path, capsys, monkeypatch):
+def test_a_hash_that_is_no_text_is_refused_before_the_work(found, tmp_path, refusal, monkeypatch):
     monkeypatch.setattr("clgs.lab.selftest.conformance.fingerprints", None)
     record = to_record(found, {})
     record["tensors"][0]["sha256"] = None
     path = tmp_path / "null.json"
     path.write_text(json.dumps(record))
-    assert main(["conformance", "--check", str(path)]) == 3
-    assert str(path) in capsys.readouterr().err
+    assert str(path) in refusal(3, "conformance", "--check", path)
 
 
-def test_a_tensor_listed_twice_is_refused_before_the_work(found, tmp_path, capsys, monkeypatch):
+def test_a_tensor_listed_twice_is_refused_before_the_work(found, tmp_path, refusal, monkeypatch):
     monkeypatch.setattr("clgs.lab.selftest.conformance.fingerprints", None)
     path = tmp_path / "twice.json"
     path.write_text(json.dumps(to_record([*found, replace(found[0], sha256="0" * 64)], {})))
-    assert main(["conformance", "--check", str(path)]) == 3
-    said = capsys.readouterr().err
+    said = refusal(3, "conformance", "--check", path)
     assert f"{path}: lists a tensor 2 times: {found[0].place}" in said
-    assert said.count("\n") == 1
