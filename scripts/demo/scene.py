@@ -16,6 +16,7 @@ from raytrace import GAMMA, Light, Place, RayScene, Surface
 TEXELS_PER_METRE = 75
 """Somewhat below the photos' 87 pixels a metre at the objects: fine detail would only alias."""
 
+Floats = npt.NDArray[np.float64]
 Vector = Sequence[float]
 RGB = tuple[float, float, float]
 WHITE: RGB = (1.0, 1.0, 1.0)
@@ -64,7 +65,7 @@ def paint(
     return np.clip(gain * (mean + contrast * (linear - mean)) * np.float32(tint), 0.01, 0.9)
 
 
-def grid(columns: int, rows: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
+def grid(columns: int, rows: int) -> tuple[Floats, npt.NDArray[np.int64]]:
     """uv (P, 2) and faces (F, 3) of a regular triangulation of the unit square."""
     u, v = np.meshgrid(np.linspace(0, 1, columns + 1), np.linspace(0, 1, rows + 1))
     corner = (np.arange(rows)[:, None] * (columns + 1) + np.arange(columns)).ravel()
@@ -81,9 +82,7 @@ def plane(origin: Vector, across: Vector, down: Vector) -> Place:
     normal = np.cross(below, right)
     normal /= np.linalg.norm(normal)
 
-    def place(
-        u: npt.NDArray[np.float64], v: npt.NDArray[np.float64]
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    def place(u: Floats, v: Floats) -> tuple[Floats, Floats]:
         return start + u[:, None] * right + v[:, None] * below, np.tile(normal, (len(u), 1))
 
     return place
@@ -120,7 +119,7 @@ def box(
     ]
 
 
-def disc(rings: int, spokes: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
+def disc(rings: int, spokes: int) -> tuple[Floats, npt.NDArray[np.int64]]:
     """uv (P, 2) and faces (F, 3) of the circle inside the unit square."""
     polar, faces = grid(spokes, rings)
     angle = 2 * np.pi * polar[:, 0]
@@ -138,9 +137,7 @@ def ball(name: str, centre: Vector, radius: float, **look: float | RGB) -> Surfa
     right = np.array([1.0, 1.0, 0.0]) / np.sqrt(2)
     down = np.cross(facing, right) * -1
 
-    def place(
-        u: npt.NDArray[np.float64], v: npt.NDArray[np.float64]
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    def place(u: Floats, v: Floats) -> tuple[Floats, Floats]:
         flat = 2 * np.stack([u, v], 1) - 1
         square = np.minimum((flat**2).sum(1, keepdims=True), 1)
         normal = (1 - 2 * square) * facing
@@ -157,9 +154,7 @@ def drum(
     """A cylinder wrapped in a picture, with another on its lid."""
     foot = np.asarray(base, np.float64)
 
-    def place(
-        u: npt.NDArray[np.float64], v: npt.NDArray[np.float64]
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    def place(u: Floats, v: Floats) -> tuple[Floats, Floats]:
         angle = 2 * np.pi * u + np.radians(turn)
         normal = np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
         return foot + radius * normal + np.outer(height * (1 - v), [0, 0, 1]), normal

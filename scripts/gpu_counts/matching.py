@@ -12,10 +12,10 @@ import json
 import sys
 import tempfile
 from pathlib import Path
-from subprocess import run
 
 import numpy as np
 import oclgrind
+from measure import found_by
 from roofline import bound
 
 from clgs.opencl.device import Device
@@ -39,13 +39,11 @@ def search(name: str, count: int, file: Path) -> None:
 
 def counted(count: int, folder: Path, plugin: Path) -> dict[str, float]:
     """The plugin's counts of a search."""
-    counts, found = folder / f"{count}.jsonl", {}
-    environments = {"oclgrind": oclgrind.environment(folder, plugin, counts), "default": None}
-    for name, environment in environments.items():
-        file = folder / f"{name}.json"
-        run([sys.executable, __file__, name, str(count), str(file)], check=True, env=environment)
-        found[name] = file.read_text(encoding="utf-8")
-    assert found["oclgrind"] == found["default"], "Oclgrind computes something else"
+    counts = folder / f"{count}.jsonl"
+    environment = oclgrind.environment(folder, plugin, counts)
+    found = found_by("matching.py", ("oclgrind", count), folder, environment)
+    real = found_by("matching.py", ("default", count), folder, None)
+    assert found == real, "Oclgrind computes something else"
     (line,) = counts.read_text(encoding="utf-8").splitlines()
     return dict(json.loads(line)["sums"])
 

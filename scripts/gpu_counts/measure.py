@@ -6,7 +6,7 @@ import json
 import os
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from subprocess import run
 from typing import Any
@@ -23,6 +23,7 @@ BENCHES = {
     "1,000,000 at 1920x1080": (1_000_000, 1920, 1080),
 }
 
+SCENE = "scene.py"
 SAME_LOSS = 1e-5
 SHOWN = 12
 """Lines of the source that are named for each kind of cost."""
@@ -51,7 +52,7 @@ def state() -> Json:
 def bench(size: tuple[int, int, int], folder: Path) -> Json:
     """The launches of a step of a bench and its units."""
     say(f"the sizes of {size[0]} Gaussians")
-    scene = run_scene("default", size, 2, folder, None)
+    scene = found_by(SCENE, ("default", *size, 2), folder, None)
     kernels = {key: {"launches": each} for key, each in grouped(scene["launches"]).items()}
     return {"kernels": kernels, "units": scene["units"]}
 
@@ -61,8 +62,8 @@ def counted(size: tuple[int, int, int], folder: Path, plugin: Path) -> Json:
     say(f"{size[0]} Gaussians or elements under Oclgrind")
     counts = folder / "counts.jsonl"
     environment = oclgrind.environment(folder, plugin, counts)
-    seen = run_scene("oclgrind", size, 1, folder, environment)
-    real = run_scene("default", size, 1, folder, None)
+    seen = found_by(SCENE, ("oclgrind", *size, 1), folder, environment)
+    real = found_by(SCENE, ("default", *size, 1), folder, None)
     assert abs(seen["loss"] - real["loss"]) < SAME_LOSS, "Oclgrind computes something else"
     launches = seen["launches"]
     lines = counts.read_text(encoding="utf-8").splitlines()
@@ -74,18 +75,14 @@ def counted(size: tuple[int, int, int], folder: Path, plugin: Path) -> Json:
     return {"kernels": kernels, "units": real["units"]}
 
 
-def run_scene(
-    device: str,
-    size: tuple[int, int, int],
-    steps: int,
-    folder: Path,
-    environment: Mapping[str, str] | None,
-) -> Json:
-    """What ``scene.py`` writes."""
-    file = folder / "scene.json"
-    words = [sys.executable, HERE / "scene.py", device, *size, steps, file]
-    run(list(map(str, words)), check=True, env=dict(environment or os.environ))
-    return dict(json.loads(file.read_text(encoding="utf-8")))
+def found_by(
+    script: str, words: Sequence[object], folder: Path, environment: Mapping[str, str] | None
+) -> Any:
+    """What a script of this folder writes, as JSON, to the file that is its last word."""
+    file = folder / "found.json"
+    command = [sys.executable, HERE / script, *words, file]
+    run(list(map(str, command)), check=True, env=dict(environment or os.environ))
+    return json.loads(file.read_text(encoding="utf-8"))
 
 
 def key_of(launch: Mapping[str, Any]) -> str:
@@ -144,7 +141,7 @@ def counted_lines() -> dict[str, dict[str, int]]:
     with tempfile.TemporaryDirectory() as folder:
         plugin, counts = oclgrind.build(Path(folder)), Path(folder) / "counts.jsonl"
         environment = oclgrind.environment(Path(folder), plugin, counts)
-        run_scene("oclgrind", size, 1, Path(folder), environment)
+        found_by(SCENE, ("oclgrind", *size, 1), Path(folder), environment)
         for text in counts.read_text(encoding="utf-8").splitlines():
             launch = json.loads(text)
             for line, sums in launch["lines"].items():
