@@ -101,6 +101,19 @@ def refusal(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
 
 
 @pytest.fixture
+def output_of(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """``output_of(*words)``: what a command prints, which succeeds."""
+    from tests.cli.calls import exit_code
+
+    def printed(*words: object) -> str:
+        capsys.readouterr()
+        assert exit_code([str(word) for word in words]) == 0
+        return capsys.readouterr().out
+
+    return printed
+
+
+@pytest.fixture
 def rng() -> np.random.Generator:
     """Random numbers, the same in every run."""
     return np.random.default_rng(20240607)

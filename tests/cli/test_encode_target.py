@@ -62,14 +62,12 @@ def test_options_must_fit_each_other(scene, target, refusal):
     assert not target.exists()
 
 
-def test_without_a_dataset_the_cost_is_not_measured(scene, target, capsys):
+def test_without_a_dataset_the_cost_is_not_measured(scene, target, output_of):
     assert main(["encode", scene, "-o", str(target)]) == 0
     wanted = target.stat().st_size * 6 // 10
-    capsys.readouterr()
-    smaller = ["--target-size", str(wanted), "--overwrite"]
-    assert main(["encode", scene, "-o", str(target), *smaller]) == 0
+    shown = output_of("encode", scene, "-o", target, "--target-size", wanted, "--overwrite")
     assert 0.98 * wanted <= target.stat().st_size <= wanted
-    assert "PSNR cost: not measured" in capsys.readouterr().out
+    assert "PSNR cost: not measured" in shown
 
 
 @pytest.mark.parametrize("level", ["fast", "default"])
@@ -106,7 +104,7 @@ def test_an_interrupted_run_leaves_nothing(scene, target, tmp_path, monkeypatch)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["s.clgs", "s.npz"]
 
 
-def test_an_older_file_learns_of_its_photos(scene, target, tmp_path, capsys, refusal):
+def test_an_older_file_learns_of_its_photos(scene, target, tmp_path, refusal):
     data = tmp_path / "data"
     write_transforms(data, 16)
     command = ["encode", scene, "-o", str(target), "--data", str(data), "--downscale", "2"]
@@ -116,7 +114,6 @@ def test_an_older_file_learns_of_its_photos(scene, target, tmp_path, capsys, ref
     assert found.settings.photos == photo_range([view.camera for view in shown.train])
     old = encode(load_scene(scene))
     assert describe(target.read_bytes())["content_hash"] == describe(old)["content_hash"]
-    capsys.readouterr()
     command[1:4] = [str(target), "-o", str(tmp_path / "again.clgs")]
     assert main([*command, "--layers", "2"]) == 0
     assert decode((tmp_path / "again.clgs").read_bytes()).settings == found.settings
@@ -125,7 +122,6 @@ def test_an_older_file_learns_of_its_photos(scene, target, tmp_path, capsys, ref
     assert again.least_focal == pytest.approx(2 * found.settings.photos.least_focal)
     said = refusal(2, *command[:-2], "--overwrite")
     assert "give --downscale N or --max-size N as it was trained with" in said
-    capsys.readouterr()
     gone = ["--data", str(data / "x"), "--downscale", "1"]
     said = refusal(3, "encode", scene, "-o", tmp_path / "no.clgs", *gone)
     assert said.endswith("x: no such folder; check the path\n")
@@ -159,12 +155,10 @@ def test_coarse_features_are_not_made_coarser_by_layers(tmp_path, rng, target):
 
 
 @pytest.mark.slow
-def test_photos_of_a_dataset_say_what_it_costs(scene, target, tmp_path, open_device, capsys):
+def test_photos_of_a_dataset_say_what_it_costs(scene, target, tmp_path, open_device, output_of):
     write_transforms(tmp_path / "data", 16)
     command = ["encode", scene, "-o", str(target), "--data", str(tmp_path / "data")]
     command += ["--target-size", "50k", "--downscale", "1", "--device", open_device("cpu").name]
-    assert main(command) == 0
-    assert "PSNR on 12 of 14 training views: " in capsys.readouterr().out
+    assert "PSNR on 12 of 14 training views: " in output_of(*command)
     assert 0.98 * 50_000 <= target.stat().st_size <= 50_000
-    assert main([*command, "--all-views", "--overwrite"]) == 0
-    assert "PSNR on 14 of 14 training views: " in capsys.readouterr().out
+    assert "PSNR on 14 of 14 training views: " in output_of(*command, "--all-views", "--overwrite")

@@ -96,13 +96,12 @@ def test_rows_without_lpips_are_added_by_name(folder, capsys, tmp_path):
     assert rows[1].split(",")[3] == ""
 
 
-def test_a_run_is_scored_by_its_file(folder, capsys, refusal, tmp_path):
+def test_a_run_is_scored_by_its_file(folder, capsys, output_of, refusal, tmp_path):
     run = tmp_path / "run"
     shutil.copytree(folder / "run", run)
     save_scene(run / "scene.npz", random_scene(np.random.default_rng(7), 50))
     about = ["eval", str(run), "--data", str(folder / "data"), "--json"]
-    assert cli.main(about) == 0
-    assert json.loads(capsys.readouterr().out)["psnr"] == evaluate(folder, capsys)["psnr"]
+    assert json.loads(output_of(*about))["psnr"] == evaluate(folder, capsys)["psnr"]
     (run / "scene.clgs").write_bytes((run / "scene.clgs").read_bytes()[:1000])
     assert f"{run / 'scene.clgs'}: " in refusal(3, *about)
 

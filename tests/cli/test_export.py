@@ -78,18 +78,16 @@ def test_what_cannot_be_done_is_refused_in_a_line(work, refusal, words, code, sa
     assert (work / "old.ply").read_bytes() == b"old"
 
 
-def test_splats_of_a_lower_degree(work, capsys):
-    assert cli.main(["export", "splats.ply", "-o", "x.ply", "--sh-degree", "0"]) == 0
-    assert "degree 0" in capsys.readouterr().out
+def test_splats_of_a_lower_degree(work, output_of):
+    assert "degree 0" in output_of("export", "splats.ply", "-o", "x.ply", "--sh-degree", "0")
     found, whole = load_splats(work / "x.ply").gaussians, gaussians()
     assert (found.degree, whole.degree) == (0, 3)
     assert np.array_equal(found.sh, whole.sh[:, :1])
 
 
 @pytest.mark.parametrize("suffix", ["ply", "spz", "sog", "glb"])
-def test_splats_are_converted(work, capsys, suffix):
-    assert cli.main(["export", "splats.ply", "-o", f"x.{suffix}"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+def test_splats_are_converted(work, output_of, suffix):
+    lines = output_of("export", "splats.ply", "-o", f"x.{suffix}").splitlines()
     assert lines[0] == f"x.{suffix}: 500 Gaussians, degree 3"
     assert re.fullmatch(r"converted: 0\.\d MB", lines[1])
     if suffix == "ply":

@@ -42,10 +42,9 @@ def test_a_file_that_is_cut_is_called_so(tmp_path, capsys):
     assert ("missing" in said.out, said.err) == (False, "")
 
 
-def test_splats_of_any_format_are_described(tmp_path, capsys):
+def test_splats_of_any_format_are_described(tmp_path, output_of):
     (tmp_path / "s.spz").write_bytes(encode_spz(replace(gaussians(1), antialiased=True)).data)
-    assert main(["info", str(tmp_path / "s.spz"), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = json.loads(output_of("info", tmp_path / "s.spz", "--json"))
     assert (found["splats"], found["degree"], found["antialiased"]) == (500, 1, True)
     least, greatest = found["extent"]["least"], found["extent"]["greatest"]
     np.testing.assert_allclose(least, gaussians(1).mean.min(axis=0), atol=1e-4)

@@ -204,18 +204,16 @@ def test_decode_takes_no_name_that_it_was_not_given(work, refusal):
     assert {path: path.is_file() and path.read_bytes() for path in work.iterdir()} == before
 
 
-def test_levels_and_chunks_reach_the_file(work, capsys):
+def test_levels_and_chunks_reach_the_file(work, output_of):
     """--threads changes no byte; what the options were is shown by info."""
     for options in ("--level fast --threads 1", "--level fast --threads 3"):
         assert cli.main(f"encode s.npz -o {options[-1]}.clgs --chunk 64 {options}".split()) == 0
     assert (work / "1.clgs").read_bytes() == (work / "3.clgs").read_bytes()
-    capsys.readouterr()
-    assert cli.main(["info", "1.clgs"]) == 0
-    rows = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
+    rows = dict(line.split(maxsplit=1) for line in output_of("info", "1.clgs").splitlines())
     assert (rows["version"], rows["level"], rows["chunks.anchors"]) == ("1.0", "fast", "64")
 
 
-def test_a_box_of_a_file_and_of_a_pipe(work, capsys):
+def test_a_box_of_a_file_and_of_a_pipe(work, capsys, output_of):
     """Negative numbers need no equals sign; a pipe cannot seek, and gives the same."""
     scene = random_scene(np.random.default_rng(3), 2000)
     (work / "s.clgs").write_bytes(whole := encode(scene, chunk=64))
@@ -232,8 +230,7 @@ def test_a_box_of_a_file_and_of_a_pipe(work, capsys):
     out, err = capsys.readouterr()
     assert out.startswith("none.npz: 0 anchors in the box")
     assert err == "clgs: warning: the box holds no anchors; `clgs info s.clgs` shows where\n"
-    assert cli.main(["info", "s.clgs"]) == 0
-    rows = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
+    rows = dict(line.split(maxsplit=1) for line in output_of("info", "s.clgs").splitlines())
     for name, corner in (("least", scene.anchors.position.min(0)), ("greatest", x.max())):
         found = np.array([float(word) for word in rows[f"extent.{name}"].split()])
         assert np.allclose(found if name == "least" else found[0], corner / 200)

@@ -50,10 +50,9 @@ def change(root: Path, frame: int, **fields) -> None:
     save_json(root, document)
 
 
-def test_a_healthy_set_has_no_findings(healthy, capsys):
+def test_a_healthy_set_has_no_findings(healthy, output_of):
     assert examine(healthy).findings == []
-    assert main(["doctor", str(healthy)]) == 0
-    out = capsys.readouterr().out.splitlines()
+    out = output_of("doctor", healthy).splitlines()
     assert out == [
         f"{healthy}: transforms, 24 photos (21 to train on, 3 held out)",
         "nothing found",

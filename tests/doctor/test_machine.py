@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from clgs.cli.main import main
 from clgs.doctor import ERROR, WARNING, machine
 from clgs.doctor.machine import examine_machine
 from clgs.machine import available_memory
@@ -18,17 +17,15 @@ from clgs.opencl import choose
 
 
 @pytest.mark.slow
-def test_a_device_passes_and_the_machine_is_described(capsys, monkeypatch):
+def test_a_device_passes_and_the_machine_is_described(output_of, monkeypatch):
     once = examine_machine()
     monkeypatch.setattr("clgs.doctor.machine.examine_machine", lambda: once)
-    assert main(["doctor", "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
+    document = json.loads(output_of("doctor", "--json"))
     assert document["devices"][0]["checks"] >= 1
     assert document["devices"][0]["worst"] <= 1
     assert {"system", "processor", "memory", "disk", "versions"} == set(document["machine"])
     assert all(one["level"] != ERROR for one in document["findings"])
-    assert main(["doctor"]) == 0
-    assert "checks passed" in capsys.readouterr().out
+    assert "checks passed" in output_of("doctor")
 
 
 def run_clgs(*words: str, **variables: str) -> subprocess.CompletedProcess[str]:

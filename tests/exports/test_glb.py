@@ -161,11 +161,10 @@ sys.exit(cli.main(["export", sys.argv[1], "-o", sys.argv[2]]))
     assert (tmp_path / "cameras.glb").is_file()
 
 
-def test_the_command_writes_the_file(data, tmp_path, capsys):
+def test_the_command_writes_the_file(data, tmp_path, output_of):
     output = tmp_path / "cameras.glb"
-    assert cli.main(["export", str(data), "-o", str(output)]) == 0
-    said = capsys.readouterr().out
-    assert said == f"{output}: 0 points, 7 cameras, {output.stat().st_size:,} bytes\n"
+    shown = output_of("export", data, "-o", output)
+    assert shown == f"{output}: 0 points, 7 cameras, {output.stat().st_size:,} bytes\n"
     document, _ = parse(output.read_bytes())
     assert {node["name"] for node in document["nodes"] if "mesh" in node} == set(poses(data))
 
@@ -189,7 +188,7 @@ def test_what_cannot_be_exported_is_one_line(data, tmp_path, refusal, source, ou
     assert not list(tmp_path.iterdir())
 
 
-def test_the_command_trains_from_a_mesh(data, tmp_path, capsys, refusal):
+def test_the_command_trains_from_a_mesh(data, tmp_path, output_of, refusal):
     mesh = tmp_path / "ball.stl"
     trimesh.creation.icosphere(radius=0.6).export(mesh)
     run = tmp_path / "run"
@@ -199,7 +198,6 @@ def test_the_command_trains_from_a_mesh(data, tmp_path, capsys, refusal):
     assert f'points = "{mesh}"' in (run / "config.toml").read_text()
     with np.load(run / "scene.npz") as scene:
         assert 250 < len(scene["position"]) <= 300
-    assert cli.main([*command, "--resume"]) == 0
-    assert "is finished already" in capsys.readouterr().out
+    assert "is finished already" in output_of(*command, "--resume")
     mesh.write_bytes(b"")
     assert f"{mesh}: is empty" in refusal(3, *command, "--resume")

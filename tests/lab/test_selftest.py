@@ -41,10 +41,9 @@ def check(error, quantity="depth"):
     return Check("project", quantity, error, 1e-5, 0.5)
 
 
-def test_a_line_for_each_device(devices, capsys):
+def test_a_line_for_each_device(devices, output_of):
     devices(a=[check(1e-6), check(5e-6, "extent")], b=[check(0.0)])
-    assert main(["selftest"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = output_of("selftest").splitlines()
     assert len(lines) == 3
     assert "2 checks passed, nearest to its limit: project extent at 0.50" in lines[0]
     assert lines[2] == "all checks passed"

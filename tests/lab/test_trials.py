@@ -123,9 +123,8 @@ def test_unknown_device_is_named(tmp_path, refusal):
 
 
 @pytest.mark.slow
-def test_everything_passes_here(tmp_path, capsys):
-    assert cli.main(["accept", "-o", str(tmp_path / "accept.json"), "--quick"]) == 0
-    printed = capsys.readouterr().out
+def test_everything_passes_here(tmp_path, output_of):
+    printed = output_of("accept", "-o", tmp_path / "accept.json", "--quick")
     assert "conformance again  ok" in printed
     assert "the same bits" in printed
     record = json.loads((tmp_path / "accept.json").read_text())

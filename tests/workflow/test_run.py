@@ -67,9 +67,8 @@ def test_a_folder_in_use_is_left_alone(data, tmp_path, refusal):
 
 
 @pytest.mark.slow
-def test_plan_alone_writes_nothing(data, tmp_path, capsys):
-    assert cli.main(words(data, tmp_path / "out", "--plan")) == 0
-    printed = capsys.readouterr().out
+def test_plan_alone_writes_nothing(data, tmp_path, output_of):
+    printed = output_of(*words(data, tmp_path / "out", "--plan"))
     assert "8 of 40 x 40 pixels" in printed
     assert "30 steps on photos at most 40 wide" in printed
     assert not (tmp_path / "out").exists()
@@ -101,14 +100,13 @@ def test_run_is_neither_replaced_nor_continued_unasked(data, finished, refusal):
     assert "--resume" in refusal(2, *words(data, finished))
 
 
-def test_finished_run_is_left_as_it_is(data, finished, capsys):
+def test_finished_run_is_left_as_it_is(data, finished, output_of):
     def files():
         paths = (path for path in finished.rglob("*") if path.is_file())
         return {path: path.stat().st_mtime_ns for path in paths}
 
     before, page = files(), (finished / "report.html").read_text()
-    assert cli.main(words(data, finished, "--resume")) == 0
-    assert "[page] is there" in capsys.readouterr().out
+    assert "[page] is there" in output_of(*words(data, finished, "--resume"))
     changed = {path.name for path, when in files().items() if before.get(path) != when}
     assert changed == {"report.html"}
     assert (finished / "report.html").read_text() == page
@@ -147,7 +145,7 @@ def test_what_is_lacking_is_made_again_and_its_time_is_added(data, finished, cap
     assert after["Gaussians"] > before["Gaussians"]
 
 
-def test_a_clip_without_a_named_path_is_an_orbit(data, finished, tmp_path, capsys):
+def test_a_clip_without_a_named_path_is_an_orbit(data, finished, tmp_path, output_of):
     pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
     out = tmp_path / "out"
     shutil.copytree(finished, out)
@@ -155,16 +153,15 @@ def test_a_clip_without_a_named_path_is_an_orbit(data, finished, tmp_path, capsy
     plan = json.loads((out / "plan.json").read_text())
     plan["plan"]["clip"]["path"] = ""
     (out / "plan.json").write_text(json.dumps(plan))
-    assert cli.main(words(data, out, "--resume")) == 0
-    assert "--path orbit --frames 30 --fps 30 --size 48x32" in capsys.readouterr().out
+    shown = output_of(*words(data, out, "--resume"))
+    assert "--path orbit --frames 30 --fps 30 --size 48x32" in shown
     assert (out / "clip.mp4").stat().st_size > 1000
 
 
 @pytest.mark.parametrize("name", ["", "scene.clgs", "scene.ply"])
-def test_what_a_run_made_knows_its_photos(finished, name, capsys):
+def test_what_a_run_made_knows_its_photos(finished, name, output_of):
     """The folder as a whole is as good as the folder ``run`` in it."""
-    assert cli.main(["eval", str(finished / name), "--json"]) == 0
-    scores = json.loads(capsys.readouterr().out)
+    scores = json.loads(output_of("eval", finished / name, "--json"))
     psnr = json.loads((finished / "scores.json").read_text())["psnr"]
     assert scores["psnr"] == pytest.approx(psnr, abs=1.5 if name == "scene.ply" else 0)
 
@@ -237,25 +234,23 @@ def test_run_goes_on_with_its_own_photos_alone(tmp_path, refusal):
     assert cli.main(words(photos, out, "--resume", "--device", "nonexistent")) == 4
 
 
-def test_run_that_was_interrupted_before_training_goes_on(data, tmp_path, capsys, refusal):
+def test_run_that_was_interrupted_before_training_goes_on(data, tmp_path, refusal):
     out = tmp_path / "out"
     out.mkdir()
     RunRecord(str(data.resolve()), 4, "", 600.0).write(out)
     assert cli.main(words(data, out, "--resume", "--device", "nonexistent")) == 4
-    capsys.readouterr()
     (out / "plan.json").write_text("{}")
     assert "is damaged" in refusal(3, *words(data, out, "--resume"))
 
 
 @pytest.mark.slow
-def test_what_follows_from_the_plan_is_kept(data, tmp_path, capsys):
+def test_what_follows_from_the_plan_is_kept(data, tmp_path, output_of):
     """A run that began coarse goes on so; the command that repeats it names what may be chosen."""
     out = tmp_path / "out"
     out.mkdir()
     settings = {"steps": 30, "max_size": 40, "seed": 0, "coarse_to_fine": True}
     RunRecord(str(data), 8, "", 600.0, settings).write(out)
-    assert cli.main(["run", str(data), "-o", str(out), "--resume"]) == 0
-    assert "--coarse-to-fine" in capsys.readouterr().out
+    assert "--coarse-to-fine" in output_of("run", data, "-o", out, "--resume")
     assert "coarse_to_fine = true" in (out / "run" / "config.toml").read_text()
     page = (out / "report.html").read_text()
     assert "--steps 30 --max-size 40 --seed 0" in page

@@ -47,12 +47,11 @@ def test_plan_takes_as_many_frames_of_a_video_as_the_time_allows(tmp_path, monke
 
 
 @pytest.mark.slow
-def test_a_sketch_goes_on_from_its_poses_with_more_time(tmp_path, monkeypatch, capsys):
+def test_a_sketch_goes_on_from_its_poses_with_more_time(tmp_path, monkeypatch, capsys, output_of):
     monkeypatch.setattr("clgs.data.points.HULL_POINTS", 4000)  # for speed
     data, out = write_scene(tmp_path / "data", train=6, test=2), tmp_path / "out"
     words = ["run", str(data), "-o", str(out), "--lambda=0.03", "--clip", "none"]
-    assert cli.main([*words, "--steps", "30"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
+    said = " ".join(output_of(*words, "--steps", "30").split())
     assert "A sketch: 30 steps. More time makes it sharp: clgs run" in said
     assert "--resume --time" in (out / "report.html").read_text()
     first = json.loads((out / "plan.json").read_text())

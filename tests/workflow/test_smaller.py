@@ -22,7 +22,6 @@ from clgs.scene.scene import QuantizedScene, SceneTransform
 from clgs.scene.storage import save_scene
 from clgs.workflow.options import ViewOptions
 from clgs.workflow.smaller import crop
-from tests.cli.calls import exit_code
 from tests.codec.scenes import random_scene
 from tests.data.folders import write_transforms
 from tests.small_scene import write_scene
@@ -157,7 +156,7 @@ def test_refusals_are_one_line(scene, tmp_path, monkeypatch, refusal, command, c
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_the_command_tells_bytes_and_psnr(scene, tmp_path, capsys, refusal, open_device):
+def test_the_command_tells_bytes_and_psnr(scene, tmp_path, output_of, refusal, open_device):
     data, part = write_scene(tmp_path / "data"), tmp_path / "part.clgs"
     run = tmp_path / "run"
     run.mkdir()
@@ -165,8 +164,7 @@ def test_the_command_tells_bytes_and_psnr(scene, tmp_path, capsys, refusal, open
     whole = run / "scene.clgs"
     whole.write_bytes(encode(scene))
     device = ["--data", str(data), "--device", open_device("cpu").name]
-    assert exit_code(["crop", str(run), "-o", str(part), "--object", "--seen", "2", *device]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = output_of("crop", run, "-o", part, "--object", "--seen", "2", *device).splitlines()
     assert lines[0].startswith(f"{run}: {whole.stat().st_size:,} bytes, {len(scene.anchors)} anch")
     assert lines[1].startswith(f"{part}: {part.stat().st_size:,} bytes, ")
     assert lines[2].startswith("PSNR on 3 photos: ")

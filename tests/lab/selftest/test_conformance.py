@@ -93,7 +93,7 @@ def test_both_forms_of_the_kernels_make_the_same_bits(open_device, found):
     assert differences(fingerprints(open_device("gpu")), found) == []
 
 
-def test_the_first_difference_is_named(found, tmp_path, capsys, monkeypatch):
+def test_the_first_difference_is_named(found, tmp_path, capsys, output_of, monkeypatch):
     monkeypatch.setattr("clgs.lab.selftest.conformance.fingerprints", lambda device: found)
     record = to_record(found, {"device": "made up"})
     changed = [replace(one, sha256="0" * 64) if "d_" in one.tensor else one for one in found]
@@ -109,8 +109,7 @@ def test_the_first_difference_is_named(found, tmp_path, capsys, monkeypatch):
     assert "IEEE" not in out  # this device rounds well
     assert main(["conformance", "-o", str(tmp_path / "mine.json")]) == 0
     assert json.loads((tmp_path / "mine.json").read_text())["wrongly_rounded"]["division"] == 0
-    assert main(["conformance", "--check", str(tmp_path / "mine.json")]) == 0
-    assert "bit-identical" in capsys.readouterr().out
+    assert "bit-identical" in output_of("conformance", "--check", tmp_path / "mine.json")
 
 
 def test_wrong_roundings_are_told_beside_differences(found, tmp_path, capsys, monkeypatch):
