@@ -9,16 +9,12 @@ import sys
 
 import pytest
 
-from clgs.cli import main as cli
 from clgs.cli.parser import SHELLS
 
 
 @pytest.mark.parametrize("shell", SHELLS)
-def test_the_script_is_one_that_the_shell_reads(shell, capsys):
-    with pytest.raises(SystemExit) as done:
-        cli.main(["--completion", shell])
-    assert done.value.code == 0
-    script = capsys.readouterr().out
+def test_the_script_is_one_that_the_shell_reads(shell, output_of):
+    script = output_of("--completion", shell)
     assert "clgs" in script
     if shutil.which(shell):
         subprocess.run([shell, "-n"], input=script, text=True, check=True)

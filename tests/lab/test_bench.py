@@ -72,23 +72,15 @@ def test_figures_need_a_file_of_their_own(tmp_path, monkeypatch, refusal, kind, 
 @pytest.mark.parametrize(
     ("error", "code"), [(MemoryError("1 TiB"), 1), (NoRoomError("no room for 1 TiB"), 4)]
 )
-def test_remedies_are_options_of_the_benchmark(monkeypatch, capsys, kind, error, code):
+def test_remedies_are_options_of_the_benchmark(monkeypatch, refusal, output_of, kind, error, code):
     def fail():
         raise error
 
     monkeypatch.setattr(importlib.import_module(f"clgs.lab.bench.{kind}"), "run", fail)
-    assert main(["bench", kind]) == code
-    said = capsys.readouterr().err
-    assert main_help(capsys, kind)
+    said = refusal(code, "bench", kind)
     options = [word.strip(",;.\n") for word in said.split() if word.startswith("--")]
     assert options
-    assert set(options) <= set(main_help(capsys, kind).split())
-
-
-def main_help(capsys, kind):
-    with pytest.raises(SystemExit):
-        main(["bench", kind, "--help"])
-    return capsys.readouterr().out.replace(",", " ")
+    assert set(options) <= set(output_of("bench", kind, "--help").replace(",", " ").split())
 
 
 def test_one_size_has_no_exponent(capsys):
