@@ -60,16 +60,14 @@ def show(browser: Browser, file: Path, args: argparse.Namespace) -> None:
     """Open the page; screenshots first, then motion."""
     scene = read_run(args.run)[0]
     views = select_views(args.run, scene, ViewOptions(split="test"))
-    browser.open(file, 1600, 1600)
-    state = browser.wait("window.clgs && clgs.state()", lambda s: s and (s["ready"] or s["failed"]))
+    state = browser.load(file, 1600)
     same = state["hash"] == state["expectedHash"]
     print(f"integers {state['hash']}, {'as in the file' if same else 'NOT as in the file'}")
     for view in views[:VIEWS]:
         wanted = to_8bit(render_view(scene.dequantize(), view.camera)).astype(np.float64)
         error = np.mean((screenshot(browser, view.camera) - wanted) ** 2)
         print(f"{view.name}: screenshot {10 * math.log10(255**2 / error):.1f} dB")
-    browser.open(file, WINDOW, WINDOW)
-    browser.wait("window.clgs && clgs.state().ready")
+    browser.load(file, WINDOW, "s.ready")
     frames, updates, gaussians = turn(browser, args.seconds)
     print(f"turning, {WINDOW} x {WINDOW} window: {frames:.1f} pictures per second, ", end="")
     print(f"{updates:.1f} sets of {gaussians:,} Gaussians per second")

@@ -20,8 +20,8 @@ from clgs.cli.parser import EXAMPLES
 from clgs.errors import ClgsError, CodecError, DataError, DeviceError
 
 
-def clgs(*arguments, **options):
-    command = [sys.executable, "-m", "clgs", *arguments]
+def python(*arguments, **options):
+    command = [sys.executable, *arguments]
     return subprocess.run(command, capture_output=True, text=True, check=False, **options)
 
 
@@ -110,9 +110,7 @@ module = types.SimpleNamespace(run=run, register=lambda parser: None)
 sys.modules["clgs.cli.commands.warn"], cli.COMMANDS = module, {"warn": "warns"}
 sys.exit(cli.main(["warn"]))
 """
-    result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False
-    )
+    result = python("-c", code)
     assert (result.returncode, result.stderr.splitlines()) == (
         0,
         ["clgs: warning: x.npz: damaged, skipped", "clgs: warning: 3 photos are missing"],
@@ -128,12 +126,12 @@ def test_debug_shows_the_traceback(run_raising, monkeypatch, capsys):
 
 
 def test_version():
-    done = clgs("--version")
+    done = python("-m", "clgs", "--version")
     assert (done.returncode, done.stdout) == (0, f"clgs {__version__}\n")
 
 
 def test_help_names_every_command():
-    result = clgs("--help")
+    result = python("-m", "clgs", "--help")
     assert result.returncode == 0
     for command in cli.COMMANDS:
         assert command in result.stdout.split()
@@ -291,14 +289,12 @@ assert {commands!r} == "COMMANDS" or loaded == {commands.split()}, loaded
 assert {commands!r} not in ("", "info") or not any("clgs.lab" in name for name in sys.modules)
 print([name for name in {heavy} if name in sys.modules], len(sys.modules) < 200)
 """
-    result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert result.stdout.strip() == "[] True"
+    result = python("-c", code)
+    assert result.stdout.strip() == "[] True", result.stderr
 
 
 def test_no_device_is_one_line_and_exit_code_4(tmp_path):
-    result = clgs("devices", env={**os.environ, "PYOPENCL_CTX": "no-such-platform"})
+    result = python("-m", "clgs", "devices", env={**os.environ, "PYOPENCL_CTX": "no-such-platform"})
     assert result.returncode == 4
     assert result.stderr.count("\n") == 1
     assert "PYOPENCL_CTX=no-such-platform" in result.stderr
@@ -334,7 +330,7 @@ def test_commands_of_the_codec_say_what_needs_less_memory(command, monkeypatch, 
     monkeypatch.setattr(f"clgs.cli.commands.{command}.run", fail)
     said = refusal(1, command, "a", "-o", "b")
     assert said.startswith("out of memory; --threads 1 ")
-    shown = clgs(command, "--help")
+    shown = python("-m", "clgs", command, "--help")
     assert shown.returncode == 0
     assert all(word in shown.stdout for word in said.split() if word.startswith("--"))
 
@@ -353,8 +349,7 @@ used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (used + size // 2, resource.RLIM_INFINITY))
 sys.exit(cli.main(["info", sys.argv[1]]))
 """
-    command = [sys.executable, "-c", code, str(tmp_path / "sparse.clgs")]
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    result = python("-c", code, tmp_path / "sparse.clgs")
     remedy = "end other programs, or use a machine that has more"
     assert result.stderr == f"clgs: error: out of memory; {remedy}\n"
     assert result.returncode == 1
@@ -370,6 +365,5 @@ from clgs.cli.main import main
 main([{command!r}, "missing.npz", *([] if {command!r} == "info" else ["-o", "out.clgs"])])
 print([name for name in ("scipy", "pyopencl") if name in sys.modules])
 """
-    run = [sys.executable, "-c", code]
-    done = subprocess.run(run, capture_output=True, text=True, check=True, cwd=tmp_path)
+    done = python("-c", code, cwd=tmp_path)
     assert done.stdout.splitlines()[-1] == "[]", done

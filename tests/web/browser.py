@@ -90,6 +90,12 @@ class Browser:
         self.call("Emulation.setDeviceMetricsOverride", **size)
         self.call("Page.navigate", url=page if isinstance(page, str) else page.resolve().as_uri())
 
+    def load(self, page: Path | str, size: int, until: str = "s.ready || s.failed") -> Any:
+        """Open a scene's page in a square window; its state ``s`` once ``until`` holds of it."""
+        self.open(page, size, size)
+        self.wait(f"window.clgs && ((s) => {until})(clgs.state())")
+        return self.value("clgs.state()")
+
     def value(self, expression: str) -> Any:
         """The value of a JavaScript expression."""
         result = self.call("Runtime.evaluate", expression=expression, returnByValue=True)

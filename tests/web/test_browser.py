@@ -88,8 +88,7 @@ def test_the_page_shows_what_the_renderer_shows(browser, scene, tmp_path):
     data, quantized, camera = scene
     file = tmp_path / "scene.html"
     file.write_bytes(page.scene_page(data, "scene"))
-    browser.open(file, 2 * SIZE, 2 * SIZE)
-    state = browser.wait("window.clgs && clgs.state()", lambda s: s and (s["ready"] or s["failed"]))
+    state = browser.load(file, 2 * SIZE)
     assert state["failed"] is None
     assert state["hash"] == state["expectedHash"]
     assert "file intact" in browser.value("document.getElementById('status').textContent")
@@ -110,8 +109,7 @@ def test_scenes_are_shown_at_other_sizes_as_we_draw_them(browser, tmp_path, case
     changed = replace(quantized, settings=replace(quantized.settings, photos=photos))
     file = tmp_path / "scene.html"
     file.write_bytes(page.scene_page(encode(changed), "scene"))
-    browser.open(file, 2 * SIZE, 2 * SIZE)
-    browser.wait("window.clgs && clgs.state()", lambda s: s and (s["ready"] or s["failed"]))
+    browser.load(file, 2 * SIZE)
     found = show(browser, camera)
     wanted, usual = (
         to_8bit(render_view(one.dequantize(), camera)).astype(np.float64)
@@ -179,8 +177,9 @@ def test_what_the_camera_sees_comes_first(browser, large):
     ends = [layer["end"] for layer in describe(data)["layers"]]
     with serve_slowly(page.scene_page(b"", ""), data, ranges=True) as server:
         server.let(ends[0])
-        browser.open(server.address + "page.html?scene=s.clgs", SIZE, SIZE)
-        browser.wait("window.clgs && clgs.state().layersReady === 1 && clgs.state().ready")
+        browser.load(
+            server.address + "page.html?scene=s.clgs", SIZE, "s.layersReady === 1 && s.ready"
+        )
         show(browser, inside)
         begun = len(server.parts)
         assert begun <= 4
@@ -226,8 +225,7 @@ def test_a_server_that_stops_giving_parts_leaves_a_coarser_scene(browser, large,
     ends = [layer["end"] for layer in describe(data)["layers"]]
     with serve_slowly(page.scene_page(b"", ""), data, ranges=True) as server:
         server.let(ends[0])
-        browser.open(server.address + "page.html?scene=s.clgs", SIZE, SIZE)
-        browser.wait("window.clgs && clgs.state().layersReady === 1")
+        browser.load(server.address + "page.html?scene=s.clgs", SIZE, "s.layersReady === 1")
         server.ranges = False
         server.let(0, cut=True)
         server.give(given)
@@ -240,30 +238,26 @@ def test_a_download_that_ends_early_is_a_coarser_scene(browser, scene):
     ends = [layer["end"] for layer in describe(data)["layers"]]
     with serve_slowly(page.scene_page(b"", ""), data) as server:
         server.let(ends[1] + 50, cut=True)
-        browser.open(server.address + "page.html?scene=s.clgs", SIZE, SIZE)
-        browser.wait("window.clgs && clgs.state().whole && clgs.state().ready")
+        browser.load(server.address + "page.html?scene=s.clgs", SIZE, "s.whole && s.ready")
         assert "2 of 4 layers, the rest is lost" in status(browser)
         server.let(ends[0] - 50, cut=True)
-        browser.open(server.address + "page.html?scene=s.clgs", SIZE, SIZE)
-        assert browser.wait("window.clgs && clgs.state().failed")
-        browser.open(server.address + "page.html?scene=gone.clgs", SIZE, SIZE)
-        assert "the server says 404" in browser.wait("window.clgs && clgs.state().failed")
+        browser.load(server.address + "page.html?scene=s.clgs", SIZE, "s.failed")
+        state = browser.load(server.address + "page.html?scene=gone.clgs", SIZE, "s.failed")
+        assert "the server says 404" in state["failed"]
 
 
 def test_a_download_that_ends_in_the_details_is_the_scene_without_them(browser, scene):
     data = encode(scene[1], chunk=64, layers=3, details=True)
     with serve_slowly(page.scene_page(b"", ""), data) as server:
         server.let(len(data) - 1, cut=True)
-        browser.open(server.address + "page.html?scene=s.clgs", SIZE, SIZE)
-        browser.wait("window.clgs && clgs.state().whole && clgs.state().ready")
+        browser.load(server.address + "page.html?scene=s.clgs", SIZE, "s.whole && s.ready")
         assert "2 of 3 layers, the rest is lost" in status(browser)
 
 
 def test_a_file_without_layers_comes_from_an_address_too(browser, scene):
     with serve_slowly(page.scene_page(b"", ""), scene[0]) as server:
         server.let(len(scene[0]))
-        browser.open(server.address + "page.html?scene=s.clgs", SIZE, SIZE)
-        browser.wait("window.clgs && clgs.state().ready")
+        browser.load(server.address + "page.html?scene=s.clgs", SIZE, "s.ready")
         assert "file intact" in status(browser)
     assert browser.errors == []
 
@@ -326,8 +320,7 @@ def test_the_mouse_turns_and_zooms_and_keys_walk(page_of_scene):
 def test_colors_are_shown_as_they_are(browser, tmp_path):
     file = tmp_path / "wall.html"
     file.write_bytes(page.scene_page(pack(grey_wall()), "wall"))
-    browser.open(file, SIZE, SIZE)
-    browser.wait("window.clgs && clgs.state().ready")
+    browser.load(file, SIZE, "s.ready")
     # 0.5 - 0.2821 = 0.2179; twice alpha 0.99 leaves 1/10,000 of the black behind
     assert (show(browser, square_camera(SIZE))[40:56, 40:56] == 56).all()
     assert browser.errors == []
@@ -355,8 +348,7 @@ def test_splats_of_other_programs_are_shown_as_we_draw_them(
     near = camera_at(80.0, SIZE, SIZE)
     camera = replace(near, translation=times * near.translation - near.rotation @ np.array(place))
     shown = render_view(scene, move_camera(camera, IDENTITY, scene.transform))
-    browser.open(file, SIZE, SIZE)
-    browser.wait("window.clgs && clgs.state().ready")
+    browser.load(file, SIZE, "s.ready")
     found, wanted = show(browser, camera), to_8bit(shown).astype(np.float64)
     assert wanted.std() > 8
     assert 10 * np.log10(255**2 / np.mean((found - wanted) ** 2)) >= 40
