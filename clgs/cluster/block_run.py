@@ -292,8 +292,10 @@ def _coarse_and_plan(
                 "--blocks auto: the system does not say how much memory is free; give NxM"
             )
         used = idle, int(coarse.summary["peak_memory_bytes"] or 0)
-        whole = idle + int(GROWTH * max(0, used[1] - idle)) >> 20
-        on_event(Note(f"the whole would take about {whole} MiB at once; a worker has {memory >> 20}"))
+        whole = idle + int(GROWTH * max(0, used[1] - idle)) >> 20  # MiB
+        on_event(
+            Note(f"the whole would take about {whole} MiB at once; a worker has {memory >> 20}")
+        )
         contribution = seen.contribution(len(coarse.scene.anchors))
         counts = counts_for_memory(coarse.scene, contribution, up_of(photos), used, memory)
     return coarse, make_plan(folder / BLOCKS, coarse.scene, photos, seen, counts)

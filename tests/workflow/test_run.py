@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import html
 import json
 import os
+import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -25,7 +28,8 @@ from tests.small_scene import write_scene
 from tests.terminal import as_from_a_terminal
 from tests.workflow.test_run_time import once
 
-TRAINED = ("--lambda=0.03", "--max-anchors", "9000", "--set", "log_interval=7")
+OFFSETS = ("--set", "learning_rates.offset=0.01,0.0001")
+TRAINED = ("--lambda=0.03", "--max-anchors", "9000", "--set", "log_interval=7", *OFFSETS)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -74,7 +78,7 @@ def test_plan_alone_writes_nothing(data, tmp_path, output_of):
     assert not (tmp_path / "out").exists()
 
 
-def test_everything_is_there(finished):
+def test_everything_is_there(finished, output_of):
     for name in ("run", "scene.clgs", "scores.json", "report.html", "plan.json", "scene.ply"):
         assert (finished / name).exists(), name
     scores = json.loads((finished / "scores.json").read_text())
@@ -87,7 +91,11 @@ def test_everything_is_there(finished):
     assert order == sorted(order)
     assert "<title>&lt;Hut&gt;</title>" in (finished / "scene.html").read_text()
     assert "--size-lambda" not in page
-    assert "--lambda 0.03" in page
+    command = re.findall(r"clgs run [^<\n]*", page)[-1]
+    assert "--lambda 0.03" in command
+    assert "--set log_interval=7 --set learning_rates.offset=0.01,0.0001" in command
+    again = output_of(*shlex.split(html.unescape(command))[1:], "--overwrite", "--plan")
+    assert "30 steps on photos at most 40 wide" in again
     config = from_toml((finished / "run" / "config.toml").read_text())
     assert (config.size_lambda, config.max_anchors, config.log_interval) == (0.03, 9000, 7)
     clip = json.loads((finished / "plan.json").read_text())["plan"]["clip"]

@@ -14,14 +14,20 @@ from clgs.errors import DataError, ExistsError, UsageError
 from clgs.files import write_json
 from clgs.poses.bring_in import find_source, readable_sizes
 from clgs.poses.video import frame_size
-from clgs.train.config.option import FLAGS
 from clgs.train.config.settings import BLENDER
+from clgs.train.config.sources import find
 from clgs.train.run.load import must_triangulate
 from clgs.workflow.runs.plan import Photos, TrainingPlan
 from clgs.workflow.scenes import PLAN
 
 DATA = "data"
 """The data set in the output folder, if poses had to be found."""
+
+RUN_OPTIONS = (
+    *("steps", "max_size", "seed", "masks", "background"),
+    *("size_lambda", "target_size", "max_anchors", "exposure"),
+)
+"""Settings of training that `clgs run` has options of their own for; it has --set for others."""
 
 TRIED = 4
 """Photos whose features are found and matched before a run is planned."""
@@ -159,7 +165,7 @@ class RunRecord:
             return
         for name, value in settings.items():
             if self.settings and value not in (None, self.settings.get(name)):
-                option = "--" + FLAGS.get(name, name).replace("_", "-")
+                option = find(name).flag if name in RUN_OPTIONS else f"--set {name}"
                 shown = self.settings.get(name, "its default")
                 raise UsageError(
                     f"{option}: the run in {out} has {shown}; leave it out, or {again}"
@@ -233,11 +239,12 @@ def read_record(out: Path, resume: bool, overwrite: bool) -> RunRecord | None:
         )
     try:
         found = RunRecord(**json.loads(path.read_text(encoding="utf-8")))
+        pairs = {n: tuple(value) for n, value in found.settings.items() if isinstance(value, list)}
         return replace(
             found,
             photos=int(found.photos),
             time=float(found.time),
-            settings=dict(found.settings),
+            settings={**found.settings, **pairs},  # JSON has lists for them
             made=dict(found.made),
             seconds={str(name): float(value) for name, value in found.seconds.items()},
         )

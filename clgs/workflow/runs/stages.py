@@ -21,7 +21,7 @@ from clgs.exports.report import write_run_report
 from clgs.files import atomic_write, remove_temporaries, write_json
 from clgs.opencl.device import Device
 from clgs.train.config import layered
-from clgs.train.config.option import FLAGS
+from clgs.train.config.sources import find
 from clgs.train.run.run_folder import RESULTS
 from clgs.workflow.events import Note, OnEvent, RunStage, StageFailure, StageRecord
 from clgs.workflow.export import export
@@ -42,6 +42,7 @@ from clgs.workflow.runs.plan import (
 from clgs.workflow.runs.record import (
     DATA,
     RUN,
+    RUN_OPTIONS,
     FinishedRun,
     RunInput,
     RunRecord,
@@ -266,8 +267,12 @@ class RunStages:
             longer = f"{ceil(SKETCH_TIMES * sum(record.seconds.values()) / 60)}m"
             more = command_line("run", given.path, "-o", out, "--resume", "--time", longer)
             sketch = f"A sketch: {steps:,} steps. More time makes it sharp: {more}"
-        words = ["run", given.path, "-o", out, *setting_options(record.settings)]
+        own = {name: value for name, value in record.settings.items() if name in RUN_OPTIONS}
+        words = ["run", given.path, "-o", out, *setting_options(own)]
         words += ["--exposure"] * bool(record.settings.get("exposure"))
+        for name, value in record.settings.items():
+            if name not in own and name != "coarse_to_fine":  # the plan decides that
+                words += ["--set", f"{name}={_as_word(value)}"]
         if self._device_name is not None:
             words += ["--device", self._device_name]
         write_run_report(
@@ -332,6 +337,13 @@ def setting_options(settings: dict[str, Any], between: str | None = None) -> lis
     found: list[str] = []
     for name, value in settings.items():
         if not isinstance(value, bool):
-            option = f"--{FLAGS.get(name, name).replace('_', '-')}"
-            found += [option, str(value)] if between is None else [f"{option}{between}{value}"]
+            words = find(name).flag, _as_word(value)
+            found += words if between is None else [between.join(words)]
     return found
+
+
+def _as_word(value: object) -> str:
+    """A value of a setting as commands take it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return ",".join(map(str, value)) if isinstance(value, tuple | list) else str(value)
