@@ -165,7 +165,11 @@ def position_steps(
     """
     if not len(values["x"]):
         return dict.fromkeys(axes, 2.0**-16)
-    wanted = _usual_step(values)
+    if all(name in values for name in SCALE):
+        size = np.exp(np.clip(np.median([values[name] for name in SCALE]), -30, 30)) / 8
+    else:
+        size = max(usual_extent(values[name]) for name in POSITION) / 65536
+    wanted = float(2.0 ** np.clip(np.floor(np.log2(size)), -64, 64)) if size > 0 else 2.0**-16
     extents = {name: float(np.ptp(values[name])) for name in sorted(axes)}
     widest = max(extents, key=lambda name: extents[name])
     # One more for rounding at either end.
@@ -212,14 +216,6 @@ def resolution(column: npt.NDArray[np.float64], kind: np.dtype[np.generic]) -> f
     if kind != np.float32:
         return 0.0
     return float(np.spacing(np.float32(np.percentile(np.abs(column), 1))))
-
-
-def _usual_step(values: Columns) -> float:
-    if all(name in values for name in SCALE):
-        size = np.exp(np.clip(np.median([values[name] for name in SCALE]), -30, 30)) / 8
-    else:
-        size = max(usual_extent(values[name]) for name in POSITION) / 65536
-    return float(2.0 ** np.clip(np.floor(np.log2(size)), -64, 64)) if size > 0 else 2.0**-16
 
 
 def _at_least(step: float) -> float:

@@ -12,7 +12,6 @@ the format: PlayCanvas' reader (github.com/playcanvas/splat-transform).
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -224,8 +223,10 @@ def _read_header(data: bytes) -> tuple[_Header, int]:
     """The header, and the byte at which the elements begin."""
     if data[: data.find(b"\n", 0, 8) + 1].split() != [b"ply"]:
         raise ValueError(NOT_PLY)
-    header = _Header()
-    for number, (line, end) in enumerate(_header_lines(data), 1):
+    header, number, end = _Header(), 0, 0
+    while stop := data.find(b"\n", end, MAX_HEADER) + 1:
+        # UTF-8, as far as it is text; other bytes of comments do no harm
+        line, end, number = data[end:stop].decode("utf-8", "replace"), stop, number + 1
         if line.split() == ["end_header"]:
             return header, end
         try:
@@ -236,17 +237,6 @@ def _read_header(data: bytes) -> tuple[_Header, int]:
                 why = f": {error}"
             raise ValueError(f"line {number} of the header, {shown!r}, is not read{why}") from None
     raise ValueError(f"no end of the header in the first {MAX_HEADER} bytes")
-
-
-def _header_lines(data: bytes) -> Iterator[tuple[str, int]]:
-    """The lines that end in the first MAX_HEADER bytes, each with the position after it.
-
-    They are UTF-8, as far as they are text; other bytes of comments do no harm.
-    """
-    start = 0
-    while stop := data.find(b"\n", start, MAX_HEADER) + 1:
-        yield data[start:stop].decode("utf-8", "replace"), stop
-        start = stop
 
 
 def _read_line(header: _Header, words: list[str]) -> None:
@@ -292,10 +282,7 @@ def pack_ply(table: PlyTable) -> bytes:
     rows = np.empty(len(table), [(name, f"<{kind}") for name, kind in kinds.items()])
     for name, column in table.columns.items():
         rows[name] = column
-    out = io.BytesIO()
-    out.write("\n".join([*lines, "end_header\n"]).encode())
-    out.write(rows.tobytes())
-    return out.getvalue()
+    return "\n".join([*lines, "end_header\n"]).encode() + rows.tobytes()
 
 
 def narrowest(

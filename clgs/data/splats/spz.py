@@ -96,10 +96,8 @@ def _columns(rows: list[Bytes], fraction: int) -> dict[str, npt.NDArray[Any]]:
     found |= {f"f_dc_{i}": (color[:, i] - 127.5) / COLOR_SCALE for i in range(3)}
     if len(rows) > 5:
         coefficients = (rows[5].reshape(count, -1, 3) - SH_STEPS) / SH_STEPS
-        width = coefficients.shape[1]
-        for channel in range(3):
-            for i in range(width):
-                found[f"f_rest_{width * channel + i}"] = coefficients[:, i, channel]
+        for i, column in enumerate(coefficients.transpose(2, 1, 0).reshape(-1, count)):
+            found[f"f_rest_{i}"] = column
     found["opacity"] = logit(opacity[:, 0] / 255.0)
     found |= {f"scale_{i}": scale[:, i] / SCALE_STEPS + SCALE_LEAST for i in range(3)}
     unit = _first_three(rotation) if rotation.shape[1] == 3 else _smallest_three(rotation)
