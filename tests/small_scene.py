@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
+
+from tests.data.folders import look_at, opengl, save_json
 
 BALLS = (
     ((0.0, 0.0, 0.0), 0.6, (0.9, 0.3, 0.2)),
@@ -14,16 +15,6 @@ BALLS = (
     ((-0.6, -0.4, 0.3), 0.4, (0.3, 0.4, 0.9)),
 )
 ANGLE = 0.8
-
-
-def look_at(eye: np.ndarray) -> np.ndarray:
-    """Camera-to-world (4, 4), OpenGL axes, looking at the origin."""
-    back = eye / np.linalg.norm(eye)
-    right = np.cross([0.0, 0.0, 1.0], back)
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = right, np.cross(back, right), back, eye
-    return pose
 
 
 def photograph(pose: np.ndarray, size: int) -> np.ndarray:
@@ -60,9 +51,10 @@ def write_scene(folder: Path, train: int = 12, test: int = 3, size: int = 40) ->
             turn = 2 * np.pi * (number + 0.5 * (split == "test")) / count
             height = rng.uniform(0.2, 0.9)
             eye = 4.0 * np.array([np.cos(turn), np.sin(turn), height])
-            pose = look_at(eye / np.sqrt(1 + height**2))
-            Image.fromarray(photograph(pose, size)).save(folder / split / f"r_{number}.png")
-            frames.append({"file_path": f"./{split}/r_{number}", "transform_matrix": pose.tolist()})
-        text = json.dumps({"camera_angle_x": ANGLE, "frames": frames})
-        (folder / f"transforms_{split}.json").write_text(text)
+            pose = opengl(look_at(eye / np.sqrt(1 + height**2)))
+            Image.fromarray(photograph(np.array(pose), size)).save(
+                folder / split / f"r_{number}.png"
+            )
+            frames.append({"file_path": f"./{split}/r_{number}", "transform_matrix": pose})
+        save_json(folder, {"camera_angle_x": ANGLE, "frames": frames}, f"transforms_{split}.json")
     return folder

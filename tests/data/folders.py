@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+import pytest
 from PIL import Image
 from scipy.ndimage import map_coordinates
 
@@ -45,12 +47,26 @@ def noise_image(width: int, height: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 256, (height, width, 3)).astype(np.uint8)
 
 
-def write_noise(folder: Path, count: int = 3, size: tuple[int, int] = (8, 6)) -> Path:
+def write_noise(
+    folder: Path, count: int = 3, size: tuple[int, int] = (8, 6), kind: str = "png"
+) -> Path:
     """A folder of photos 0.png, 1.png and so on that have nothing in common; returns it."""
     folder.mkdir(exist_ok=True)
     for number in range(count):
-        Image.fromarray(noise_image(*size, number)).save(folder / f"{number}.png")
+        Image.fromarray(noise_image(*size, number)).save(folder / f"{number}.{kind}")
     return folder
+
+
+def write_video(path: Path, frames: Iterable[np.ndarray], **options: object) -> Path:
+    """A video of frames (H, W, 3); options as of imageio_ffmpeg.write_frames; returns its path."""
+    library = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
+    first, *others = map(np.ascontiguousarray, frames)
+    writer = library.write_frames(str(path), first.shape[1::-1], **options)
+    writer.send(None)
+    for frame in (first, *others):
+        writer.send(frame)
+    writer.close()
+    return path
 
 
 def write_transforms(
@@ -188,24 +204,23 @@ def _texture(points: np.ndarray, seed: int) -> np.ndarray:
     return np.clip((value - 128) * 1.6 + 128, 0, 255)
 
 
-def write_room_photos(folder: Path, count: int) -> list[np.ndarray]:
-    """Photos of the room alone, 320 x 240 pixels; returns camera-to-world matrices."""
-    folder.mkdir()
+def write_room_photos(
+    folder: Path, count: int, size: tuple[int, int] = (320, 240)
+) -> list[np.ndarray]:
+    """Photos of the room alone; returns camera-to-world matrices."""
+    folder.mkdir(parents=True)
     poses = room_poses(count)
     for number, pose in enumerate(poses):
-        Image.fromarray(room_image(pose, (320, 240), 320.0)).save(folder / f"{number}.png")
+        Image.fromarray(room_image(pose, size, float(size[0]))).save(folder / f"{number}.png")
     return poses
 
 
 def write_room(root: Path, count: int, size: tuple[int, int] = (320, 240)) -> list[np.ndarray]:
     """Photos of the room with poses in transforms.json; returns camera-to-world matrices."""
-    (root / "images").mkdir(parents=True)
-    poses = room_poses(count)
-    focal = float(size[0])
-    frames = []
-    for number, pose in enumerate(poses):
-        name = f"images/{number:03d}.png"
-        Image.fromarray(room_image(pose, size, focal)).save(root / name)
-        frames.append({"file_path": name, "transform_matrix": opengl(pose)})
-    save_json(root, {"fl_x": focal, "frames": frames})
+    poses = write_room_photos(root / "images", count, size)
+    frames = [
+        {"file_path": f"images/{number}.png", "transform_matrix": opengl(pose)}
+        for number, pose in enumerate(poses)
+    ]
+    save_json(root, {"fl_x": float(size[0]), "frames": frames})
     return poses

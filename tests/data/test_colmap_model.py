@@ -340,11 +340,14 @@ def test_names_and_numbers_of_camera_models_are_those_of_pycolmap():
 def test_both_forms_hold_what_pycolmap_reads(tmp_path, request, name):
     import pycolmap
 
-    if name == "rig":
-        folder = write_rig(tmp_path / "rig")
+    if name == "rig":  # ten frames of two cameras, without points
+        pycolmap.set_random_seed(0)
+        options = pycolmap.SyntheticDatasetOptions(num_points3D=0)
+        options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig = 1, 2, 10
+        known = pycolmap.synthesize_dataset(options)
     else:
         folder = request.getfixturevalue("shared_data") / name / "sparse" / "0"
-    known = pycolmap.Reconstruction(str(folder))
+        known = pycolmap.Reconstruction(str(folder))
     images = {image.name: image for image in known.images.values()}
     points = [point for _, point in sorted(known.points3D.items())]
     for text in (False, True):
@@ -362,38 +365,3 @@ def test_both_forms_hold_what_pycolmap_reads(tmp_path, request, name):
             assert np.array_equal(image.translation, pose[:, 3])
         assert np.array_equal(found.position, np.reshape([p.xyz for p in points], (-1, 3)))
         assert np.array_equal(found.color, np.reshape([p.color for p in points], (-1, 3)))
-
-
-def write_rig(folder: Path) -> Path:
-    """A model of ten frames of a rig of two cameras, without points, written by pycolmap."""
-    import pycolmap
-
-    rng, model, rig = np.random.default_rng(0), pycolmap.Reconstruction(), pycolmap.Rig(rig_id=1)
-    sensors = [pycolmap.sensor_t(pycolmap.SensorType.CAMERA, number) for number in (1, 2)]
-
-    def pose() -> object:
-        quaternion = rng.normal(size=4)
-        rotation = pycolmap.Rotation3d(quaternion / np.linalg.norm(quaternion))
-        return pycolmap.Rigid3d(rotation, rng.normal(size=3))
-
-    for number in (1, 2):
-        model.add_camera(pycolmap.Camera.create_from_model_name(number, "PINHOLE", 50.0, 41, 31))
-    rig.add_ref_sensor(sensors[0])
-    rig.add_sensor(sensors[1], pose())
-    model.add_rig(rig)
-    for number in range(1, 11):
-        frame = pycolmap.Frame(frame_id=number, rig_id=1)
-        frame.rig_from_world = pose()
-        for side, sensor in enumerate(sensors):
-            frame.add_data_id(pycolmap.data_t(sensor, 2 * number + side))
-        model.add_frame(frame)
-        for side in (0, 1):
-            image = pycolmap.Image(
-                name=f"{number}_{side}.png", camera_id=side + 1, image_id=2 * number + side
-            )
-            image.frame_id = number
-            model.add_image(image)
-        model.register_frame(number)
-    folder.mkdir()
-    model.write_binary(folder)
-    return folder

@@ -13,25 +13,24 @@ from PIL import Image
 from clgs.data.images import read_image
 from clgs.errors import DataError
 from clgs.poses.bring_in import bring_in, camera_numbers, find_source
-from tests.data.folders import noise_image, room_image, room_poses
+from tests.data.folders import noise_image, room_image, room_poses, write_noise
 
 DETAILS, ORIENTATION = 0x8769, 0x0112
 
 
-def brought(folder: Path, work: Path) -> dict[str, Path]:
+def brought(
+    source: Path, work: Path, frames: int | None = None, equirectangular: bool = False
+) -> dict[str, Path]:
+    """Bring photos or ``frames`` of a video in; returns the files by name, in order."""
     work.mkdir()
-    bring_in(find_source(folder), work)
+    bring_in(find_source(source, frames), work, equirectangular=equirectangular)
     return {path.name: path for path in sorted((work / "images").iterdir())}
 
 
 @pytest.fixture
 def photos(tmp_path: Path) -> Path:
     """A folder with three plain photos."""
-    folder = tmp_path / "photos"
-    folder.mkdir()
-    for number in range(3):
-        Image.fromarray(noise_image(32, 24, number)).save(folder / f"{number}.jpg")
-    return folder
+    return write_noise(tmp_path / "photos", 3, (32, 24), "jpg")
 
 
 def smooth() -> Image.Image:

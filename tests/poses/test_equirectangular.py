@@ -12,15 +12,15 @@ from clgs.data.images import Pixels
 from clgs.errors import DataError
 from clgs.poses.bring_in import (
     DIRECTIONS,
-    bring_in,
     camera_numbers,
     cut,
-    find_source,
     is_marked,
     readable_sizes,
     view_size,
 )
 from clgs.poses.find import find_photos
+from tests.data.folders import write_video
+from tests.poses.test_bring_in import brought
 
 XMP = (
     b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:Description '
@@ -89,13 +89,11 @@ def test_marked_photos_are_cut_and_others_only_if_asked_for(photos: Path, tmp_pa
     assert is_marked(photos / "0.jpg")
     assert not is_marked(photos / "wide.jpg")
     assert not is_marked(photos / "crop.jpg")
-    work = tmp_path / "work"
-    work.mkdir()
-    bring_in(find_source(photos), work)
-    names = sorted(path.name for path in (work / "images").iterdir())
+    found = brought(photos, tmp_path / "work")
+    names = list(found)
     assert names[:4] == ["crop.jpg", "view00_0.jpg", "view00_1.jpg", "view00_2.jpg"]
     assert len(names) == 3 * len(DIRECTIONS) + 2
-    views = [work / "images" / name for name in names if name.startswith("view")]
+    views = [path for name, path in found.items() if name.startswith("view")]
     assert set(camera_numbers(views)) == {0}
     with Image.open(views[0]) as view:
         assert view.getexif().get_ifd(0x8769)[0xA405] == 18
@@ -111,9 +109,7 @@ def test_all_photos_are_cut_if_that_is_asked_for(photos: Path, tmp_path: Path, c
     mask[32:] = 0  # all below the horizon
     Image.fromarray(mask).save(masks / "0.png")
     work = tmp_path / "work"
-    work.mkdir()
-    bring_in(find_source(photos), work, equirectangular=True)
-    names = {path.name for path in (work / "images").iterdir()}
+    names = brought(photos, work, equirectangular=True)
     assert "low.jpg" not in names
     assert "is 128x50, and an equirectangular photo is twice as wide as high" in caplog.text
     assert len(names) == 4 * len(DIRECTIONS) - 3  # three of the views look at the masked half
@@ -126,31 +122,17 @@ def test_all_photos_are_cut_if_that_is_asked_for(photos: Path, tmp_path: Path, c
 
 
 def test_frames_of_a_video_are_cut(tmp_path: Path):
-    writer = pytest.importorskip("imageio_ffmpeg").write_frames(
-        str(tmp_path / "clip.mp4"), (128, 64), fps=5, macro_block_size=8
-    )
-    writer.send(None)
-    for number in range(10):
-        writer.send(np.ascontiguousarray(np.roll(sphere(128), 6 * number, axis=1)))
-    writer.close()
+    frames = [np.roll(sphere(128), 6 * number, axis=1) for number in range(10)]
+    clip = write_video(tmp_path / "clip.mp4", frames, fps=5, macro_block_size=8)
     work = tmp_path / "work"
-    work.mkdir()
-    bring_in(find_source(tmp_path / "clip.mp4", 3), work, equirectangular=True)
-    names = sorted(path.name for path in (work / "images").iterdir())
+    names = list(brought(clip, work, 3, equirectangular=True))
     assert len(names) == 3 * len(DIRECTIONS)
     assert names[0] == "view00_frame_00001.jpg"
     assert not any((work / "frames").iterdir())
 
 
 def test_a_video_that_is_none_of_the_sphere_is_refused(tmp_path: Path):
-    writer = pytest.importorskip("imageio_ffmpeg").write_frames(
-        str(tmp_path / "clip.mp4"), (96, 64), fps=5, macro_block_size=8
-    )
-    writer.send(None)
-    for number in range(6):
-        writer.send(np.ascontiguousarray(np.roll(sphere(192), 9 * number, axis=1)[:64, :96]))
-    writer.close()
-    work = tmp_path / "work"
-    work.mkdir()
+    frames = [np.roll(sphere(192), 9 * number, axis=1)[:64, :96] for number in range(6)]
+    clip = write_video(tmp_path / "clip.mp4", frames, fps=5, macro_block_size=8)
     with pytest.raises(DataError, match="is 96x64, and an equirectangular photo is twice"):
-        bring_in(find_source(tmp_path / "clip.mp4", 3), work, equirectangular=True)
+        brought(clip, tmp_path / "work", 3, equirectangular=True)

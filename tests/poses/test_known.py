@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -22,7 +23,7 @@ from clgs.poses.known import read_known
 from clgs.poses.prepare import prepare
 from clgs.poses.verdict import GOOD
 from clgs.scene.world import EARTH, axes_at, geocentric, place_of
-from tests.data.folders import opengl, save_json, write_noise, write_room_photos
+from tests.data.folders import opengl, save_json, write_noise, write_room, write_room_photos
 from tests.data.programs.captures import Capture, metashape_xml
 
 pytest.importorskip("pycolmap", reason="pycolmap has no wheel for this platform")
@@ -31,15 +32,12 @@ BERN = (46.948, 7.447, 540.0)
 
 
 def write_known(root: Path, count: int, pose: Callable[[np.ndarray], list[list[float]]]):
-    """Photos of a room in ``root``/photos, and a transforms.json; returns the true poses."""
-    root.mkdir()
-    poses = write_room_photos(root / "photos", count)
-    frames = [
-        {"file_path": f"photos/{number}.png", "transform_matrix": pose(one)}
-        for number, one in enumerate(poses)
-    ]
-    lens = {"fl_x": 320.0, "fl_y": 320.0, "cx": 160.0, "cy": 120.0, "w": 320, "h": 240}
-    save_json(root, {**lens, "frames": frames})
+    """Photos of a room in ``root``/images, and a transforms.json; returns the true poses."""
+    poses = write_room(root, count)
+    document = json.loads((root / "transforms.json").read_text())
+    for frame, one in zip(document["frames"], poses, strict=True):
+        frame["transform_matrix"] = pose(one)
+    save_json(root, document | {"w": 320, "h": 240})
     return poses
 
 
@@ -71,7 +69,7 @@ def test_noisy_poses_are_refined_in_their_own_units(tmp_path: Path, capfd):
 
     root = tmp_path / "capture"
     poses = write_known(root, 7, shaken)
-    verdict = prepare(root / "photos", tmp_path / "data", poses=root / "transforms.json")
+    verdict = prepare(root / "images", tmp_path / "data", poses=root / "transforms.json")
     assert (verdict.registered, verdict.mapper) == (7, "given poses")
     assert capfd.readouterr().err == ""  # pycolmap's log
     assert {photo.status for photo in verdict.photos} == {GOOD}
@@ -101,7 +99,7 @@ def test_poses_in_the_wrong_convention_are_named_and_not_used(
 ):
     root = tmp_path / "capture"
     write_known(root, 9, pose)
-    verdict = prepare(root / "photos", tmp_path / "data", quick=True, poses=root)
+    verdict = prepare(root / "images", tmp_path / "data", quick=True, poses=root)
     assert (verdict.registered, verdict.mapper) == (9, "incremental")
     (note,) = verdict.notes
     assert "its poses are not used" in note

@@ -87,7 +87,7 @@ def test_changed_images_are_not_answered_from_the_cache(tmp_path: Path):
     write_room(tmp_path / "room", 3, (64, 48))
     cache = tmp_path / "run"
     room_points(tmp_path / "room", cache)
-    Image.fromarray(noise_image(64, 48)).save(tmp_path / "room" / "images" / "001.png")
+    Image.fromarray(noise_image(64, 48)).save(tmp_path / "room" / "images" / "1.png")
     room_points(tmp_path / "room", cache)
     room_points(tmp_path / "room", cache, seed=1)
     assert len(list(cache.iterdir())) == 3

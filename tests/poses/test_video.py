@@ -14,7 +14,7 @@ from scipy.ndimage import uniform_filter
 from clgs.errors import DataError
 from clgs.poses.bring_in import find_source
 from clgs.poses.video import extract_frames, frame_size, sharpness
-from tests.data.folders import noise_image, write_noise
+from tests.data.folders import noise_image, write_noise, write_video
 
 imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
 
@@ -37,13 +37,9 @@ def number_of(path: Path) -> int:
 @pytest.fixture(scope="module")
 def clip(tmp_path_factory) -> Path:
     """Six seconds; every fourth frame is sharp: 1, 5, 9 and so on."""
+    frames = [frame(number, number % 4 != 1) for number in range(60)]
     path = tmp_path_factory.mktemp("video") / "clip one.mp4"
-    writer = imageio_ffmpeg.write_frames(str(path), SIZE, fps=RATE, quality=9, macro_block_size=1)
-    writer.send(None)
-    for number in range(60):
-        writer.send(np.ascontiguousarray(frame(number, number % 4 != 1)))
-    writer.close()
-    return path
+    return write_video(path, frames, fps=RATE, quality=9, macro_block_size=1)
 
 
 def test_a_sharp_frame_of_every_span(clip: Path, tmp_path: Path):
@@ -90,12 +86,8 @@ def test_no_more_frames_than_there_are(clip: Path, tmp_path: Path):
 
 
 def test_a_truncated_video_gives_what_is_whole(clip: Path, tmp_path: Path):
-    path = tmp_path / "cut.mkv"
-    writer = imageio_ffmpeg.write_frames(str(path), SIZE, fps=RATE, macro_block_size=1)
-    writer.send(None)
-    for number in range(60):
-        writer.send(frame(number, False))
-    writer.close()
+    frames = [frame(number, False) for number in range(60)]
+    path = write_video(tmp_path / "cut.mkv", frames, fps=RATE, macro_block_size=1)
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     (tmp_path / "frames").mkdir()
     with pytest.warns(UserWarning, match=r"ends after \d\.\d of the 6\.\d seconds"):
@@ -103,12 +95,8 @@ def test_a_truncated_video_gives_what_is_whole(clip: Path, tmp_path: Path):
 
 
 def test_frames_that_stand_still_are_left_out(tmp_path: Path):
-    path = tmp_path / "frozen.mkv"
-    writer = imageio_ffmpeg.write_frames(str(path), SIZE, fps=RATE, codec="ffv1")
-    writer.send(None)
-    for number in range(20):
-        writer.send(np.ascontiguousarray(frame(number if number < 8 else 8, True)))
-    writer.close()
+    frames = [frame(min(number, 8), True) for number in range(20)]
+    path = write_video(tmp_path / "frozen.mkv", frames, fps=RATE, codec="ffv1")
     (tmp_path / "frames").mkdir()
     seen: list[int] = []
     with pytest.warns(UserWarning, match="11 of its frames are equal to the one before"):
