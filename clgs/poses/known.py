@@ -318,10 +318,7 @@ def map_known(workspace: Workspace, folder: Path) -> Any:
     for number, error in enumerate((LOOSE, STRICT, STRICT)):
         if number:
             _adjust(pycolmap, model, adjusting)
-        options = pycolmap.IncrementalPipelineOptions()
-        options.num_threads = options.mapper.num_threads = 1
-        options.random_seed = options.mapper.random_seed = workspace.seed
-        options.triangulation.random_seed = workspace.seed
+        options = workspace.pipeline_options()
         options.mapper.filter_max_reproj_error = error
         options.triangulation.merge_max_reproj_error = error
         options.triangulation.complete_max_reproj_error = error

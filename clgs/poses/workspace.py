@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
+import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import closing
@@ -92,6 +93,30 @@ class Workspace:
                     raise
             time.sleep(wait)
         return function(*args, **options)
+
+    def counter(self, stage: str, done: int, total: int) -> Callable[[int], None]:
+        """Report that ``done`` of a stage is finished; returns a function of how much more is.
+
+        Several threads may call that.
+        """
+        one_at_a_time = threading.Lock()
+
+        def count(more: int) -> None:
+            nonlocal done
+            with one_at_a_time:
+                done = min(done + more, total)
+                self.on_progress(stage, done, total)
+
+        count(0)
+        return count
+
+    def pipeline_options(self) -> Any:
+        """Make options of COLMAP's incremental pipeline: the seed, and one thread."""
+        options = self.pycolmap.IncrementalPipelineOptions()
+        options.num_threads = options.mapper.num_threads = 1
+        options.random_seed = options.mapper.random_seed = self.seed
+        options.triangulation.random_seed = self.seed
+        return options
 
     def ids(self, database: Any) -> list[int]:
         """Read each photo's number in the open ``database``, in the order of ``names``."""

@@ -22,6 +22,7 @@ import argparse
 import json
 import tempfile
 from collections.abc import Mapping
+from itertools import combinations
 from pathlib import Path
 from unittest.mock import patch
 
@@ -37,7 +38,6 @@ from clgs.poses.prepare import prepare
 from clgs.poses.pycolmap_child import quiet_pycolmap
 from clgs.poses.stages import matching
 from clgs.poses.stages.features import extract
-from clgs.poses.stages.pairs import all_pairs
 from clgs.poses.verdict import DOUBTFUL, GOOD, LEFT_OUT, Verdict, verdict_of
 from clgs.poses.workspace import Workspace
 from clgs.scene.camera import Camera
@@ -226,7 +226,7 @@ def count_recalled(args: argparse.Namespace) -> None:
             on_progress=lambda stage, done, total: None,
         )
         extract(workspace, longest, quick=False)
-        pairs = all_pairs(len(names))
+        pairs = list(combinations(range(len(names)), 2))
         passed = set(matching.pairs_alike(workspace, pairs))
         with patch.object(matching, "pairs_alike", lambda workspace, pairs: pairs):
             matching.match(workspace, pairs, matching.MAX_DESCRIPTORS)

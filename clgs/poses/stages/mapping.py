@@ -141,19 +141,17 @@ def _place_again(
     workspace: Workspace, choice: ModelChoice, doubtful: Collection[str], stage: str
 ) -> list[Any]:
     """Have the incremental mapper place photos again, from the others' poses in the kept model."""
-    start, folder = workspace.folder / "without_doubt", workspace.folder / "placed_again"
-    for one in (start, folder):
+    copy, folder = workspace.folder / "without_doubt", workspace.folder / "placed_again"
+    for one in (copy, folder):
         shutil.rmtree(one, ignore_errors=True)
-    start.mkdir()
-    choice.kept.reconstruction.write(start)
-    model = workspace.pycolmap.Reconstruction(start)
+    copy.mkdir()
+    choice.kept.reconstruction.write(copy)
+    model = workspace.pycolmap.Reconstruction(copy)
     for name in set(doubtful).intersection(_names(model)):
         model.deregister_frame(model.find_image_with_name(name).frame_id)
-    model.write(start)
-    options = _incremental_options(workspace)
-    options.multiple_models = False
     return workspace.models(
-        stage, lambda: _run_incremental(workspace, stage, folder, options, start)
+        stage,
+        lambda: _run_incremental(workspace, stage, folder, _incremental_options(workspace), model),
     )
 
 
@@ -210,16 +208,12 @@ def look_again(workspace: Workspace, choice: ModelChoice) -> ModelChoice:
     if not left_out:
         return choice
     match_again(workspace, left_out)
-    start = workspace.folder / "first_look"
-    start.mkdir()
-    model.write(start)
     options = _incremental_options(workspace)
-    options.multiple_models = False
     options.mapper.abs_pose_min_num_inliers = LOOSE_INLIERS
     options.mapper.abs_pose_min_inlier_ratio = LOOSE_SHARE
     folder, stage = workspace.folder / "second_look", "more poses"
     again = workspace.models(
-        stage, lambda: _run_incremental(workspace, stage, folder, options, start)
+        stage, lambda: _run_incremental(workspace, stage, folder, options, model)
     )
     evidence = read_evidence(workspace)
     found = [model, *again]
@@ -250,12 +244,8 @@ def _map_from_given(workspace: Workspace, stage: str) -> list[Any]:
     if len(workspace.known) == total:
         workspace.on_progress(stage, total, total)
         return [model]
-    start = folder / "refined"
-    start.mkdir()
-    model.write(start)
     options = _incremental_options(workspace)
-    options.multiple_models = False
-    return _run_incremental(workspace, stage, folder / "all", options, start) or [model]
+    return _run_incremental(workspace, stage, folder / "all", options, model) or [model]
 
 
 MAPPERS = {INCREMENTAL: _map_incrementally, GLOBAL: map_globally, GIVEN: _map_from_given}
@@ -279,12 +269,7 @@ def map_strongest(workspace: Workspace, evidence: Evidence, stage: str) -> list[
 
 
 def _incremental_options(workspace: Workspace) -> Any:
-    options = workspace.pycolmap.IncrementalPipelineOptions()
-    options.num_threads = 1
-    options.random_seed = workspace.seed
-    options.mapper.num_threads = 1
-    options.mapper.random_seed = workspace.seed
-    options.triangulation.random_seed = workspace.seed
+    options = workspace.pipeline_options()
     options.min_model_size = MIN_MODEL
     options.ba_global_function_tolerance = TOLERANCE
     options.ba_global_frames_ratio = options.ba_global_points_ratio = GROWTH
@@ -293,27 +278,24 @@ def _incremental_options(workspace: Workspace) -> Any:
 
 
 def _run_incremental(
-    workspace: Workspace, stage: str, folder: Path, options: Any, start: Path | None = None
+    workspace: Workspace, stage: str, folder: Path, options: Any, start: Any | None = None
 ) -> list[Any]:
-    """Run the incremental mapper, from the model in the folder ``start`` on if that is given."""
+    """Run the incremental mapper, from the model ``start`` on if that is given."""
     folder.mkdir()
     total = len(workspace.names)
-    placed = 0
-
-    def count() -> None:
-        nonlocal placed
-        placed = min(placed + 1, total)
-        workspace.on_progress(stage, placed, total)
-
-    workspace.on_progress(stage, 0, total)
+    if start is not None:
+        options.multiple_models = False
+        (folder / "start").mkdir()
+        start.write(folder / "start")
+    count = workspace.counter(stage, 0, total)
     models = workspace.call(
         workspace.pycolmap.incremental_mapping,
         workspace.database,
         workspace.images,
         folder,
         options=options,
-        input_path=start or "",
-        next_image_callback=count,
+        input_path="" if start is None else folder / "start",
+        next_image_callback=lambda: count(1),
     )
     workspace.on_progress(stage, total, total)  # photos that were not placed will not be
     return list(models.values())

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import groupby
+from itertools import combinations, groupby
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,6 @@ from clgs.opencl.device import Device
 from clgs.ops import match as nearest_descriptors
 from clgs.ops.match import MAX_DESCRIPTORS, Descriptors, Nearest
 from clgs.poses.evidence import LINKS, MIN_MATCHES, Evidence, MatchedPair
-from clgs.poses.stages.pairs import all_pairs
 from clgs.poses.stages.verify import verify
 from clgs.poses.workspace import Workspace
 
@@ -96,7 +95,7 @@ def _find(
     if len(workspace.names) <= MAX_FULL:
         first = MAX_DESCRIPTORS
     chosen = pairs_alike(workspace, pairs)
-    count = _counter(workspace, "matches", len(pairs) - len(chosen), len(pairs))
+    count = workspace.counter("matches", len(pairs) - len(chosen), len(pairs))
     found = _match(workspace, chosen, MAX_RATIO, count, first)
     best = defaultdict[int, list[int]](list)
     for pair, matches in found.items():
@@ -112,22 +111,10 @@ def _find(
         rich = [database.num_keypoints_for_image(one) > first for one in numbers]
     again = [(a, b) for a, b in chosen if thin & {a, b} and (rich[a] or rich[b])]
     if again:
-        count = _counter(workspace, "all features", 0, len(again))
+        count = workspace.counter("all features", 0, len(again))
         found |= _match(workspace, again, MAX_RATIO, count)
     shortened = any(rich[a] or rich[b] for a, b in set(chosen).difference(again))
     return _write(workspace, found), shortened
-
-
-def _counter(workspace: Workspace, stage: str, done: int, total: int) -> Callable[[int], None]:
-    """Report that ``done`` of the pairs of a stage are matched, and then how many more are."""
-
-    def count(more: int) -> None:
-        nonlocal done
-        done += more
-        workspace.on_progress(stage, done, total)
-
-    count(0)
-    return count
 
 
 def match_in_full(workspace: Workspace, pairs: Sequence[Pair]) -> None:
@@ -145,7 +132,7 @@ def pairs_alike(workspace: Workspace, pairs: Sequence[Pair]) -> list[Pair]:
             most_telling(database.read_keypoints(number), database.read_descriptors(number).data)
             for number in workspace.ids(database)
         ]
-    count = _counter(workspace, "looks", 0, len(pairs))
+    count = workspace.counter("looks", 0, len(pairs))
     return alike(workspace.device, features, pairs, count)
 
 
@@ -294,7 +281,8 @@ def match_again(workspace: Workspace, left_out: list[int]) -> None:
     """Match photos, by their place in ``workspace.names``, with all others, less strictly."""
     left_out = left_out[:MAX_SECOND_LOOK]
     chosen = set(left_out)
-    pairs = [(i, j) for i, j in all_pairs(len(workspace.names)) if i in chosen or j in chosen]
+    every = combinations(range(len(workspace.names)), 2)
+    pairs = [(i, j) for i, j in every if i in chosen or j in chosen]
     with workspace.open() as database:
         ids = workspace.ids(database)
         for first, second in ((ids[i], ids[j]) for i, j in pairs):
@@ -305,7 +293,7 @@ def match_again(workspace: Workspace, left_out: list[int]) -> None:
     stage = "second look"
 
     def find() -> list[tuple[int, int]]:
-        count = _counter(workspace, stage, 0, len(pairs))
+        count = workspace.counter(stage, 0, len(pairs))
         return _write(workspace, _match(workspace, pairs, LOOSE_RATIO, count))
 
     strong = workspace.matches(stage, find)

@@ -57,10 +57,7 @@ def add_points(workspace: Workspace, model: Any, evidence: Evidence) -> Any:
             geometry.inlier_matches = matches
             database.write_matches(first, second, matches)
             database.write_two_view_geometry(first, second, geometry)
-    options = pycolmap.IncrementalPipelineOptions()
-    options.num_threads = options.mapper.num_threads = 1
-    options.random_seed = options.mapper.random_seed = workspace.seed
-    options.triangulation.random_seed = workspace.seed
+    options = workspace.pipeline_options()
     options.triangulation.ignore_two_view_tracks = False
     posed = pycolmap.Reconstruction(folder)
     found = workspace.call(
@@ -80,8 +77,7 @@ def _match(
     workspace: Workspace, database: Any, model: Any, pairs: Sequence[Pair]
 ) -> Iterator[tuple[int, int, Matches]]:
     """Match pairs of images, by their numbers, by the features that have no point."""
-    workspace.on_progress(STAGE, 0, len(pairs))
-    done = 0
+    count = workspace.counter(STAGE, 0, len(pairs))
     for some in by_tiles(pairs):
         numbers = sorted({number for pair in some for number in pair})
         free, photos, rays = [], [], []
@@ -105,5 +101,4 @@ def _match(
             focal = min(model.cameras[i.camera_id].mean_focal_length() for i in (one, other))
             match = match[error * focal <= MAX_EPIPOLAR_ERROR]
             yield first, second, np.stack([free[a][match[:, 0]], free[b][match[:, 1]]], 1)
-        done += len(some)
-        workspace.on_progress(STAGE, done, len(pairs))
+        count(len(some))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
@@ -54,7 +55,7 @@ def pairs_to_match(workspace: Workspace) -> list[tuple[int, int]]:
     if len(known) == len(names):
         return sorted(pairs)
     if len(names) <= MAX_EXHAUSTIVE:
-        others = all_pairs(len(names))
+        others = list(combinations(range(len(names)), 2))
     else:
         with workspace.open() as database:
             numbers = workspace.ids(database)
@@ -63,11 +64,6 @@ def pairs_to_match(workspace: Workspace) -> list[tuple[int, int]]:
         positions = np.array([workspace.positions.get(name, unknown) for name in names])
         others = likely_pairs(descriptors, workspace.seed, positions)
     return sorted(pairs.union(pair for pair in others if not set(pair) <= set(known)))
-
-
-def all_pairs(count: int) -> list[tuple[int, int]]:
-    """List every pair (i, j), i < j, of ``count`` photos."""
-    return [(i, j) for i in range(count) for j in range(i + 1, count)]
 
 
 def likely_pairs(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -41,15 +40,7 @@ def verify(workspace: Workspace, pairs: list[tuple[int, int]], stage: str) -> No
     processes = min(THREADS, MOST_PROCESSES)
     shares = [share for k in range(processes) if (share := pairs[k::processes])]
     folders = [workspace.folder / f"verifying_{k}" for k in range(len(shares))]
-    verified, one_at_a_time = 0, threading.Lock()
-
-    def count(more: int) -> None:
-        nonlocal verified
-        with one_at_a_time:
-            verified += more
-            workspace.on_progress(stage, verified, len(pairs))
-
-    count(0)
+    count = workspace.counter(stage, 0, len(pairs))
     with ThreadPoolExecutor(max(1, len(shares))) as pool:
         for folder in folders:
             folder.mkdir()

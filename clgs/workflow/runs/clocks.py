@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from statistics import median
 
@@ -31,7 +32,6 @@ from clgs.poses.stages.matching import (
     most_telling,
     mutual_matches,
 )
-from clgs.poses.stages.pairs import all_pairs
 from clgs.poses.workspace import THREADS
 from clgs.scene.camera import Camera
 from clgs.scene.scene import SceneTransform
@@ -191,7 +191,7 @@ def try_photos(device: Device, files: Sequence[Path], size: int) -> TriedPhotos 
         return None
     seconds = (time.perf_counter() - began) * min(THREADS, len(files)) / len(found)
     largest = [descriptors[:FIRST_FEATURES] for _, descriptors in found]
-    uploaded, pairs = upload(device, largest), all_pairs(len(found))
+    uploaded, pairs = upload(device, largest), list(combinations(range(len(found)), 2))
     looked = alike(device, [most_telling(*one) for one in found], pairs)  # builds the kernel, too
     began = time.perf_counter()
     mutual_matches(device, uploaded, largest, pairs, MAX_RATIO)
