@@ -59,9 +59,9 @@ def find_models(root: Path) -> dict[Path, int]:
             numbered = (p for p in (base / "sparse").glob("[0-9]*") if p.name.isdecimal())
             found += sorted(numbered, key=lambda path: int(path.name))
             found.append(base / "sparse")
-            if (base / "images").is_dir() or (_is_model(base) and list_images(base)):
+            if (base / "images").is_dir() or (_suffix(base) and list_images(base)):
                 found.append(base)
-        models = [folder for folder in found if _is_model(folder)]
+        models = [folder for folder in found if _suffix(folder)]
         if models:
             counts = {folder: _count_photos(folder) for folder in models}
             return dict(sorted(counts.items(), key=lambda one: -one[1]))
@@ -75,12 +75,10 @@ def _folders(root: Path) -> list[Path]:
     return sorted(path for path in root.iterdir() if path.is_dir()) if root.is_dir() else []
 
 
-def _is_model(folder: Path) -> bool:
-    return any(in_any_case(folder / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt"))
-
-
-def _is_binary(folder: Path) -> bool:
-    return in_any_case(folder / "cameras.bin").is_file()
+def _suffix(folder: Path) -> str:
+    """The suffix of the files of a model, binary or else text; empty if there is none."""
+    forms = (s for s in (".bin", ".txt") if in_any_case(folder / f"cameras{s}").is_file())
+    return next(forms, "")
 
 
 def _is_whole(folder: Path) -> bool:
@@ -111,12 +109,12 @@ def read_model(folder: Path) -> ColmapModel:
     Raises:
         DataError: names file, place and remedy.
     """
-    binary = _is_binary(folder)
+    suffix = _suffix(folder) or ".txt"
     for name in ("cameras", "images", "points3D"):
-        file = folder / f"{name}{'.bin' if binary else '.txt'}"
+        file = folder / f"{name}{suffix}"
         if not in_any_case(file).is_file():
             raise DataError(f"{file}: missing; export the model again")
-    return read_binary(folder) if binary else read_text(folder)
+    return read_binary(folder) if suffix == ".bin" else read_text(folder)
 
 
 def read_colmap(root: Path, folder: Path) -> PhotoSet:
@@ -129,7 +127,7 @@ def read_colmap(root: Path, folder: Path) -> PhotoSet:
         DataError: names file, field and remedy.
     """
     model = read_model(folder)
-    file = in_any_case(folder / ("images.bin" if _is_binary(folder) else "images.txt"))
+    file = in_any_case(folder / f"images{_suffix(folder)}")
     listed = []
     for image in model.images:
         source = f"{file}: image {image.name[:80]!r}"

@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.arguments import as_path, check_integer
-from clgs.data.colmap_model import find_model, read_colmap
 from clgs.data.complaints import check_masks, check_photos, find_astray
 from clgs.data.images import Pixels, box_resized, check_chunks, check_image, list_images, read_image
 from clgs.data.lens import forget_sources, undistort_lens, undistort_pixels
@@ -23,7 +22,6 @@ from clgs.data.points import BLENDER_DISTANCE, BLENDER_TOLERANCE, read_points
 from clgs.data.posed_photo import Photo, PhotoSet, hold_out
 from clgs.data.programs import find_reader
 from clgs.data.reduction import DEFAULT, EVERY, IGNORE, MAX_SIZE, OBJECT, VIEWS, Reduction
-from clgs.data.transforms import read_blender, read_transforms
 from clgs.data.view import (
     DEFAULT_MEMORY,
     PhotoMemory,
@@ -33,14 +31,10 @@ from clgs.data.view import (
     kept_pixels,
 )
 from clgs.errors import DataError
-from clgs.files import in_any_case
 from clgs.scene.camera import Camera
 from clgs.scene.scene import SceneTransform
 
 Floats = npt.NDArray[np.float64]
-
-BLENDER, TRANSFORMS = "transforms_train.json", "transforms.json"
-"""The files that mark a Blender folder and one of nerfstudio or instant-ngp."""
 
 SCENE_RADIUS = 4.4
 """Camera radius that structure-from-motion scenes are scaled to; that of Synthetic-NeRF."""
@@ -98,8 +92,7 @@ class Dataset:
 
 def is_posed(folder: Path) -> bool:
     """Whether ``folder`` is a data set with poses."""
-    marked = any(in_any_case(folder / name).is_file() for name in (BLENDER, TRANSFORMS))
-    return marked or find_model(folder) is not None or find_reader(folder) is not None
+    return find_reader(folder) is not None
 
 
 def read_photo_set(root: Path, test_every: int = EVERY) -> PhotoSet:
@@ -108,9 +101,10 @@ def read_photo_set(root: Path, test_every: int = EVERY) -> PhotoSet:
     Raises:
         DataError: no data set, or a damaged one.
     """
-    if not root.is_dir() or not is_posed(root):
+    read = find_reader(root)
+    if read is None:
         raise DataError(f"{root}: {_why_none(root)}")
-    found = _read_format(root)
+    found = read()
     if test_every == 0 or (test_every != EVERY and not found.split):
         found.train, found.test = hold_out(found.train + found.test, test_every)
     everyone = found.train + found.test
@@ -119,18 +113,6 @@ def read_photo_set(root: Path, test_every: int = EVERY) -> PhotoSet:
     masks = dict.fromkeys(mask for folder in folders for mask in list_masks(root, folder))
     found.stray_masks = [mask.relative_to(root).as_posix() for mask in masks if mask not in used]
     return found
-
-
-def _read_format(root: Path) -> PhotoSet:
-    """The photos by the first of the formats that ``root`` holds."""
-    if in_any_case(root / BLENDER).is_file():
-        return read_blender(root)
-    if in_any_case(root / TRANSFORMS).is_file():
-        return read_transforms(root)
-    if (model := find_model(root)) is not None:
-        return read_colmap(root, model)
-    read = find_reader(root)
-    return read_transforms(root) if read is None else read()
 
 
 def _why_none(root: Path) -> str:

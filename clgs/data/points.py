@@ -10,9 +10,8 @@ import json
 import logging
 import math
 import re
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -69,21 +68,17 @@ _BATCH = 200_000
 _MAX_BATCHES = 20
 
 
-@dataclass(frozen=True)
-class Viewpoint:
-    """A camera and, if its image has alpha, the grown mask (H, W) of what is not background."""
-
-    camera: Camera
-    mask: Mask | None
+Viewpoint = tuple[Camera, Mask | None]
+"""A camera and, if its image has alpha, the grown mask (H, W) of what is not background."""
 
 
-def viewpoint(camera: Camera, alpha: npt.NDArray[np.uint8] | None) -> Viewpoint:
-    """The camera with its mask alpha > 0 grown by MASK_MARGIN pixels."""
+def grown_mask(alpha: npt.NDArray[np.uint8] | None) -> Mask | None:
+    """Where alpha (H, W) is above 0, grown by MASK_MARGIN pixels."""
     if alpha is None:
-        return Viewpoint(camera, None)
+        return None
     from scipy.ndimage import maximum_filter  # not needed by most data sets
 
-    return Viewpoint(camera, maximum_filter(alpha, size=2 * MASK_MARGIN + 1) > 0)
+    return np.asarray(maximum_filter(alpha, size=2 * MASK_MARGIN + 1) > 0)
 
 
 def hull_points(looks: int) -> int:
@@ -180,7 +175,7 @@ def _in_hull(
     rng: np.random.Generator, viewpoints: list[Viewpoint], needed: int, count: int
 ) -> Floats:
     """Points of :func:`_in_cube`, more of them near the surface of the volume that they fill."""
-    if all(viewpoint_.mask is None for viewpoint_ in viewpoints):
+    if all(mask is None for _, mask in viewpoints):
         return _in_cube(rng, viewpoints, needed, count)
     points = _in_cube(rng, viewpoints, needed, DRAWN_PER_POINT * count)
     if not len(points):
@@ -216,8 +211,8 @@ def _on_rays(rng: np.random.Generator, viewpoints: list[Viewpoint], radius: floa
     owner = rng.integers(len(viewpoints), size=_BATCH)
     pixel = rng.uniform(size=(_BATCH, 2))
     points = np.empty((_BATCH, 3))
-    for number, viewpoint_ in enumerate(viewpoints):
-        mine, camera = owner == number, viewpoint_.camera
+    for number, (camera, _) in enumerate(viewpoints):
+        mine = owner == number
         at = pixel[mine] * (camera.width, camera.height)
         ray = (at - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
         local = np.column_stack([ray, np.ones(len(ray))]) * depth[mine, None]
@@ -229,9 +224,8 @@ def _shared(points: Floats, viewpoints: list[Viewpoint], needed: int) -> Mask:
     """Which points (P, 3) ``needed`` cameras see and none sees through."""
     alive = np.arange(len(points))
     seen = np.zeros(len(points), np.int64)
-    for viewpoint_ in viewpoints:
+    for camera, mask in viewpoints:
         # whether points (P, 3) fall into the image, and the column and row (P,) of those that do
-        camera = viewpoint_.camera
         local = points[alive] @ camera.rotation.T + camera.translation
         ahead = local[:, 2] > 1e-6
         depth = np.where(ahead, local[:, 2], 1.0)
@@ -241,8 +235,8 @@ def _shared(points: Floats, viewpoints: list[Viewpoint], needed: int) -> Mask:
         column = np.where(inside, x, 0.0).astype(np.int64)
         row = np.where(inside, y, 0.0).astype(np.int64)
         seen[alive] += inside
-        if viewpoint_.mask is not None:
-            alive = alive[~inside | viewpoint_.mask[row, column]]
+        if mask is not None:
+            alive = alive[~inside | mask[row, column]]
     kept = np.zeros(len(points), bool)
     kept[alive] = seen[alive] >= needed
     return kept
@@ -317,7 +311,10 @@ def _parse(data: bytes, suffix: str, samples: int, seed: int) -> Floats:
 
     if suffix == ".glb":
         _check_glb(data)
-    with _quiet():
+    logger = logging.getLogger("trimesh")
+    with ExitStack() as quiet:  # the user gets one line in place of what it logs
+        quiet.callback(logger.setLevel, logger.level)
+        logger.setLevel(logging.CRITICAL)
         # Without a resolver, a file cannot name others that are read with it.
         scene = trimesh.load_scene(
             io.BytesIO(data), file_type=suffix[1:], process=False, skip_materials=True
@@ -386,15 +383,3 @@ def _check_glb(data: bytes) -> None:
     )
     if needed > _SHARING * len(data):
         raise ValueError(f"its header promises {needed} bytes")
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep what trimesh logs about a file from the user, who gets one line."""
-    logger = logging.getLogger("trimesh")
-    before = logger.level
-    logger.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        logger.setLevel(before)

@@ -33,6 +33,10 @@ from clgs.files import in_any_case
 
 _log = logging.getLogger(__name__)
 
+BLENDER, BLENDER_TEST = "transforms_train.json", "transforms_test.json"
+TRANSFORMS = "transforms.json"
+"""The files of a Blender folder, the first of which it must have, and of nerfstudio's."""
+
 COEFFICIENTS = {
     "SIMPLE_PINHOLE": "",
     "PINHOLE": "",
@@ -69,30 +73,29 @@ MAX_BYTES = 256 * 2**20
 """A larger transforms.json is refused before it is parsed."""
 
 
-def read_blender(root: Path) -> PhotoSet:
-    """The split of transforms_train.json and transforms_test.json; file order kept.
+def read_blender(root: Path, file: Path) -> PhotoSet:
+    """The split of BLENDER, which is ``file``, and BLENDER_TEST; file order kept.
 
     Without a test file every 8th photo is held out.
 
     Raises:
         DataError: names file, frame and field.
     """
-    train, missing = _read_photos(root, in_any_case(root / "transforms_train.json"))
-    file = in_any_case(root / "transforms_test.json")
+    train, missing = _read_photos(root, file)
+    file = in_any_case(root / BLENDER_TEST)
     if not file.is_file():
         return PhotoSet("blender", *hold_out(train), missing)
     test, more_missing = _read_photos(root, file)
     return PhotoSet("blender", train, test, missing + more_missing, split=True)
 
 
-def read_transforms(root: Path) -> PhotoSet:
-    """The photos of transforms.json; split by train_filenames and test_filenames if given.
+def read_transforms(root: Path, file: Path) -> PhotoSet:
+    """The photos of TRANSFORMS, which is ``file``; split by train_filenames and so on if given.
 
     Raises:
         DataError: names file, frame and field.
     """
-    file = in_any_case(root / "transforms.json")
-    document = read_document(file)
+    document = read_json(file)
     photos, missing = _read_photos(root, file)
     found = PhotoSet("transforms", *hold_out(photos), missing)
     found.points_file = _points_file(root, document, file)
@@ -127,7 +130,7 @@ def read_transforms(root: Path) -> PhotoSet:
 
 
 def _read_photos(root: Path, file: Path) -> tuple[list[Photo], list[str]]:
-    document = read_document(file)
+    document = read_json(file)
     listed = [read_frame(file, document, number) for number in range(count_frames(file, document))]
     photos, missing = locate_all(listed, root, root, str(file))
     sizes = [one.size for one in listed]
@@ -302,23 +305,13 @@ def _focal_lengths(fields: _Fields, width: int, height: int) -> tuple[float, flo
     return fx, fy
 
 
-def read_document(file: Path, lenient: bool = False) -> dict[str, Any]:
-    """The JSON object in ``file``; NaN and Infinity are numbers if ``lenient``, else refused.
+def read_json(file: Path, kind: type = dict, lenient: bool = False) -> Any:
+    """The JSON object in ``file``, or what else the ``kind`` is.
+
+    NaN and Infinity are numbers if ``lenient``, else refused.
 
     Raises:
-        DataError: as of :func:`read_json`, or no JSON object.
-    """
-    document = read_json(file, lenient)
-    if not isinstance(document, dict):
-        raise DataError(f"{file}: not a JSON object with frames; it is no transforms file")
-    return document
-
-
-def read_json(file: Path, lenient: bool = False) -> Any:
-    """What a JSON file holds; arguments as of :func:`read_document`.
-
-    Raises:
-        DataError: missing, too large, not JSON.
+        DataError: missing, too large, not JSON, or of another kind.
     """
     if not file.is_file():
         raise DataError(f"{file}: missing; the data set needs it")
@@ -329,12 +322,15 @@ def read_json(file: Path, lenient: bool = False) -> Any:
         raise ValueError(f"{constant} is not a number")
 
     try:
-        return json.loads(file.read_bytes(), parse_constant=None if lenient else refuse)
+        found = json.loads(file.read_bytes(), parse_constant=None if lenient else refuse)
     except RecursionError:
         raise DataError(f"{file}: nested too deeply; it is no file of cameras") from None
     except ValueError as error:
         problem = " ".join(str(error).split())[:120]
         raise DataError(f"{file}: invalid JSON ({problem}); correct it") from error
+    if not isinstance(found, kind):
+        raise DataError(f"{file}: is no JSON of the expected form; export again")
+    return found
 
 
 def _find_listed(

@@ -23,7 +23,14 @@ from clgs.data.origin import read_origin
 from clgs.data.points import read_points
 from clgs.data.posed_photo import Photo, PhotoFolder, PhotoSet, locate
 from clgs.data.reduction import MAX_SIZE
-from clgs.data.transforms import count_frames, read_document, read_frame
+from clgs.data.transforms import (
+    BLENDER,
+    BLENDER_TEST,
+    TRANSFORMS,
+    count_frames,
+    read_frame,
+    read_json,
+)
 from clgs.doctor import ERROR, NOTE, WARNING, Finding, errors_first, from_error, named
 from clgs.doctor.cameras import check_lenses, check_poses
 from clgs.errors import DataError
@@ -179,7 +186,7 @@ def _exposure(whole: list[tuple[str, _Looked]]) -> Iterator[Finding]:
         yield Finding(WARNING, named(jumps), "brightness jumps between neighbours", remedy)
 
 
-FILES = ("transforms_train.json", "transforms_test.json", "transforms.json")
+FILES = BLENDER, BLENDER_TEST, TRANSFORMS
 
 FEW_POINTS = 100
 """Training starts badly from fewer."""
@@ -254,7 +261,7 @@ def _piecewise(root: Path) -> tuple[PhotoSet, list[Finding]]:
     kind = "blender" if in_any_case(root / FILES[0]).is_file() else "transforms"
     for file in filter(Path.is_file, (in_any_case(root / name) for name in FILES)):
         try:
-            document = read_document(file, lenient=True)
+            document = read_json(file, lenient=True)
             count = count_frames(file, document)
         except DataError as error:
             findings.append(from_error(error))

@@ -66,7 +66,7 @@ def reconstruct(
     on_progress: OnProgress,
     known: Known,
     apart: bool,
-    finished: Path | None = None,
+    finished: Path,
 ) -> Verdict:
     """Find poses and points of the photos in ``target``/work/images: fills images/ and sparse/0/.
 
@@ -74,15 +74,14 @@ def reconstruct(
     reduced to about this width at the end; 0: never. ``device``: matches features, as for Device.
     ``on_progress`` receives the progress of each stage after "read". ``known``: poses that are
     given; ``apart``: photos with such a pose share no camera with the others. ``finished``: folder
-    of pieces that are taken up and kept; None: nothing is.
+    of pieces that are taken up and kept.
 
     Raises:
         DataError: no reconstruction, no pycolmap, or it crashed.
         DeviceError: there is no such device.
         OSError: it failed on a full disk.
     """
-    arguments = [str(target), seed, quick, max_size, device, known.plain(), apart]
-    arguments.append(None if finished is None else str(finished))
+    arguments = [str(target), seed, quick, max_size, device, known.plain(), apart, str(finished)]
     try:
         return verdict_of(run_child(__name__, _TASK, arguments, lambda one: on_progress(*one)))
     except DataError as error:
@@ -95,7 +94,7 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
     """Be the child: run all stages for the photos in a folder; returns a plain verdict."""
     target, (seed, quick, max_size, device, given, apart, kept) = Path(arguments[0]), arguments[1:]
     work, known = target / "work", Known.of_plain(given)
-    finished = Finished(Path(kept) if kept else work)
+    finished = Finished(Path(kept))
 
     def on_progress(stage: str, done: int, total: int) -> None:
         finished.begin(stage)
@@ -120,9 +119,7 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
         posed, notes = fitting(known, files)
         positions, origin, more = read_positions(files)
         notes += more
-        workspace = replace(
-            workspace, known=posed, positions=positions, finished=finished if kept else None
-        )
+        workspace = replace(workspace, known=posed, positions=positions, finished=finished)
         extract(workspace, size, quick)
         early = None if quick else check
         workspace, choice, shortened = _match_and_map(workspace, known, early, notes)

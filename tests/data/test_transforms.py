@@ -13,9 +13,8 @@ import pytest
 import trimesh
 from PIL import Image
 
-from clgs.data.dataset import load_dataset
+from clgs.data.dataset import load_dataset, read_photo_set
 from clgs.data.posed_photo import Photo
-from clgs.data.transforms import read_blender, read_transforms
 from clgs.errors import DataError
 from tests.data.folders import (
     noise_image,
@@ -50,7 +49,7 @@ def everything(root: Path) -> list[Photo]:
 
 
 def splits(root: Path) -> tuple[list[Photo], list[Photo]]:
-    photos = read_transforms(root)
+    photos = read_photo_set(root)
     return photos.train, photos.test
 
 
@@ -58,7 +57,7 @@ def test_every_eighth_after_missing_ones_is_held_out(tmp_path):
     write_transforms(tmp_path, 20)
     (tmp_path / "images" / "000.png").unlink()
     (tmp_path / "images" / "005.png").unlink()
-    photos = read_transforms(tmp_path)
+    photos = read_photo_set(tmp_path)
     assert photos.missing == ["images/000.png", "images/005.png"]
     assert [p.name[-7:-4] for p in photos.test] == ["001", "010", "018"]
     assert len(photos.train) == 15
@@ -85,7 +84,7 @@ def test_own_split_is_honoured(tmp_path, caplog, train, test, val, trained, test
         if numbers is not None:
             document[f"{key}_filenames"] = [f"./images/00{number}.png" for number in numbers]
     save_json(tmp_path, document)
-    photos = read_transforms(tmp_path)
+    photos = read_photo_set(tmp_path)
     assert "".join(p.name[-5] for p in photos.train) == trained
     assert "".join(p.name[-5] for p in photos.test) == tested
     assert said in caplog.text
@@ -95,7 +94,7 @@ def test_own_split_is_honoured(tmp_path, caplog, train, test, val, trained, test
 def test_a_listed_name_that_no_frame_has_is_told(tmp_path, caplog):
     document = write_transforms(tmp_path, 6) | {"test_filenames": ["images/001", "nope.jpg"]}
     save_json(tmp_path, document)
-    assert [p.name for p in read_transforms(tmp_path).test] == ["images/001.png"]
+    assert [p.name for p in read_photo_set(tmp_path).test] == ["images/001.png"]
     said = f"{tmp_path / 'transforms.json'}: test_filenames: no frame has the name nope.jpg"
     assert [one.getMessage() for one in caplog.records] == [said]
 
@@ -104,7 +103,7 @@ def test_a_listed_name_that_no_frame_has_is_told(tmp_path, caplog):
 def test_a_list_may_name_its_photos_as_another_machine_does(tmp_path, caplog, form):
     document = write_transforms(tmp_path, 6)
     save_json(tmp_path, document | {"train_filenames": [form.format(f"00{n}") for n in (1, 4)]})
-    photos = read_transforms(tmp_path)
+    photos = read_photo_set(tmp_path)
     assert [p.name for p in photos.train] == ["images/001.png", "images/004.png"]
     assert len(photos.test) == 4
     assert not caplog.text
@@ -118,13 +117,13 @@ def test_a_list_that_names_no_photo_is_told_and_not_guessed(tmp_path):
     for names in ([], ["nope.png"], ["000.png"]):  # the last fits two photos
         save_json(tmp_path, document | {"train_filenames": names})
         with pytest.raises(DataError, match="train_filenames lists no photo of a frame"):
-            read_transforms(tmp_path)
+            read_photo_set(tmp_path)
 
 
 def test_points_that_the_file_names_are_taken(tmp_path, caplog):
     document = write_transforms(tmp_path, 6) | {"ply_file_path": "sparse_pc.ply"}
     save_json(tmp_path, document)
-    assert read_transforms(tmp_path).points_file is None
+    assert read_photo_set(tmp_path).points_file is None
     assert "there is no file sparse_pc.ply; points are sought in the photos" in caplog.text
     points = np.random.default_rng(0).uniform(-1, 1, (200, 3))
     trimesh.PointCloud(points).export(tmp_path / "sparse_pc.ply")
@@ -133,7 +132,7 @@ def test_points_that_the_file_names_are_taken(tmp_path, caplog):
     np.testing.assert_allclose(world, points, atol=1e-5)
     save_json(tmp_path, document | {"ply_file_path": "../sparse_pc.ply"})
     with pytest.raises(DataError, match=r"ply_file_path: path '../sparse_pc.ply' must stay"):
-        read_transforms(tmp_path)
+        read_photo_set(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -180,7 +179,7 @@ def test_coefficients_may_be_a_list(tmp_path, own):
         save_json(tmp_path, document)
         message = r"frame 0: (distortion_params is not a list|p2 is not)"
         with pytest.raises(DataError, match=message):
-            read_transforms(tmp_path)
+            read_photo_set(tmp_path)
 
 
 def test_no_mask_may_be_null(tmp_path):
@@ -238,7 +237,7 @@ def test_a_lens_for_photos_of_another_unknown_size_is_refused(tmp_path, absent, 
     save_json(tmp_path, {name: document[name] for name in document if name not in absent})
     named = "{:g} {:g}".format(*centre)
     with pytest.raises(DataError, match=rf"frame 0: .* {named}, .* is 40x30; give the w and h"):
-        read_transforms(tmp_path)
+        read_photo_set(tmp_path)
 
 
 @pytest.mark.parametrize("given", ["fl_x", "fl_x cx cy w h", "fl_x cx cy", "camera_angle_x"])
@@ -246,7 +245,7 @@ def test_a_focal_length_for_photos_of_no_known_size_is_told(tmp_path, caplog, gi
     document = write_transforms(tmp_path, 3, camera_angle_x=2 * math.atan(0.4))
     kept = {"frames", *given.split()}
     save_json(tmp_path, {name: value for name, value in document.items() if name in kept})
-    assert read_transforms(tmp_path).train[0].lens.fx == pytest.approx(50.0)
+    assert read_photo_set(tmp_path).train[0].lens.fx == pytest.approx(50.0)
     said = f"{tmp_path / 'transforms.json'}: fl_x has no w and h; it is taken to be for photos of"
     assert caplog.text.count(said) == (given == "fl_x")
     assert ("40x30, which see 43.6 degrees across" in caplog.text) == (given == "fl_x")
@@ -258,13 +257,13 @@ def test_an_angle_tells_the_size_that_a_focal_length_is_for(tmp_path):
     )
     kept = "fl_x", "fl_y", "camera_angle_x", "frames"
     save_json(tmp_path, {name: document[name] for name in kept})
-    lens = read_transforms(tmp_path).train[0].lens
+    lens = read_photo_set(tmp_path).train[0].lens
     assert (lens.fx, lens.fy) == pytest.approx((50.0, 50.0))
 
 
 def test_blender_split_and_pose(tmp_path):
     write_blender(tmp_path)
-    photos = read_blender(tmp_path)
+    photos = read_photo_set(tmp_path)
     assert (len(photos.train), len(photos.test)) == (8, 3)
     assert photos.train[3].name == "train/r_3.png"
     assert photos.train[0].centre == pytest.approx(ring(8)[0][:3, 3])
@@ -342,7 +341,7 @@ def test_bad_fields_are_named_in_one_line(tmp_path, name):
     change(document)
     save_json(tmp_path, document)
     with pytest.raises(DataError, match=expected) as caught:
-        read_transforms(tmp_path)
+        read_photo_set(tmp_path)
     assert "\n" not in str(caught.value)
     assert "transforms.json" in str(caught.value) or name == "aspect"
 
@@ -353,7 +352,7 @@ def test_bad_fields_are_named_in_one_line(tmp_path, name):
 def test_no_json_is_one_line(tmp_path, text):
     (tmp_path / "transforms.json").write_bytes(text.encode("latin-1"))
     with pytest.raises(DataError, match=r"transforms\.json"):
-        read_transforms(tmp_path)
+        read_photo_set(tmp_path)
 
 
 def test_nan_in_a_pose(tmp_path):
@@ -361,7 +360,7 @@ def test_nan_in_a_pose(tmp_path):
     file = tmp_path / "transforms.json"
     file.write_text(file.read_text().replace("1.5", "1e999", 1))
     with pytest.raises(DataError, match="transform_matrix"):
-        read_transforms(tmp_path)
+        read_photo_set(tmp_path)
 
 
 def test_no_image_at_all(tmp_path):
@@ -369,7 +368,7 @@ def test_no_image_at_all(tmp_path):
     for path in (tmp_path / "images").iterdir():
         path.unlink()
     with pytest.raises(DataError, match="none of the 2 listed photos"):
-        read_transforms(tmp_path)
+        read_photo_set(tmp_path)
 
 
 def test_link_out_of_the_folder(tmp_path):
@@ -380,4 +379,4 @@ def test_link_out_of_the_folder(tmp_path):
     (root / "images" / "000.png").unlink()
     (root / "images" / "000.png").symlink_to(outside)
     with pytest.raises(DataError, match="link"):
-        read_transforms(root)
+        read_photo_set(root)

@@ -88,10 +88,10 @@ def test_the_true_poses_are_written(tmp_path: Path):
     pytest.importorskip("skimage")
     import made_captures
 
-    from clgs.data.transforms import read_transforms
+    from clgs.data.dataset import read_photo_set
 
     taken = made_captures.photograph("room", tmp_path, stops=3, width=64)
-    photos = read_transforms(tmp_path)
+    photos = read_photo_set(tmp_path)
     for photo in [*photos.train, *photos.test]:
         view = taken[Path(photo.name).name]
         # Rounding of float64, and no more.

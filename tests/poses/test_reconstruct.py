@@ -135,8 +135,9 @@ def test_a_crash_on_a_full_disk_asks_for_room(tmp_path: Path, monkeypatch: pytes
         raise DataError("structure from motion: pycolmap crashed (exit code -6); try other photos")
 
     monkeypatch.setattr(reconstruct, "run_child", crash)
+    arguments = tmp_path, 0, False, 0, None, lambda *_: None, Known(), False, tmp_path
     with pytest.raises(DataError, match="crashed"):
-        reconstruct.reconstruct(tmp_path, 0, False, 0, None, lambda *_: None, Known(), False)
+        reconstruct.reconstruct(*arguments)
     monkeypatch.setattr(reconstruct.shutil, "disk_usage", lambda path: SimpleNamespace(free=4096))
     with pytest.raises(OSError, match="No space left"):
-        reconstruct.reconstruct(tmp_path, 0, False, 0, None, lambda *_: None, Known(), False)
+        reconstruct.reconstruct(*arguments)

@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 from clgs.cli.main import main
+from clgs.data.dataset import read_photo_set
 from clgs.data.posed_photo import Photo
-from clgs.data.transforms import read_transforms
 from clgs.poses import triangulate as module
 from clgs.poses.triangulate import Points, triangulate
 from tests.data.folders import noise_image, write_room
@@ -32,7 +32,7 @@ def no_child(*arguments: object) -> None:
 
 
 def photos(root: Path) -> list[Photo]:
-    return read_transforms(root).train
+    return read_photo_set(root).train
 
 
 def room_points(root: Path, cache: Path | None = None, seed: int = 0) -> Points:

@@ -15,7 +15,7 @@ from clgs.arguments import plain_numbers
 from clgs.data.images import list_images
 from clgs.data.lens import Lens
 from clgs.data.posed_photo import ListedPhoto, PhotoSet, hold_out, locate_all, rigid
-from clgs.data.transforms import FOCAL_LENGTHS, read_json
+from clgs.data.transforms import FOCAL_LENGTHS
 from clgs.errors import DataError
 
 Floats = npt.NDArray[np.float64]
@@ -56,14 +56,6 @@ def lookup(table: Any, field: str, kind: type, source: str) -> Any:
     found = table.get(field) if isinstance(table, dict) else None
     if not isinstance(found, kind):
         raise DataError(f"{source}: {field} is missing or malformed; export again")
-    return found
-
-
-def read_table(file: Path, kind: type) -> Any:
-    """The JSON object or array in a file; DataError if it holds something else."""
-    found = read_json(file)
-    if not isinstance(found, kind):
-        raise DataError(f"{file}: is no JSON of the expected form; export again")
     return found
 
 

@@ -25,9 +25,9 @@ from clgs.data.programs.listing import (
     numbers,
     photo_set,
     pose,
-    read_table,
     whole_size,
 )
+from clgs.data.transforms import read_json
 from clgs.errors import DataError
 from clgs.files import in_any_case
 from clgs.scene.world import EARTH, frame_of
@@ -70,7 +70,7 @@ def read(root: Path, file: Path) -> PhotoSet:
 
 
 def _read_model(root: Path, file: Path) -> PhotoSet:
-    models = [one for one in read_table(file, list) if isinstance(one, dict)]
+    models = [one for one in read_json(file, list) if isinstance(one, dict)]
     models.sort(key=lambda one: -len(lookup(one, "shots", dict, str(file))))
     if not models:
         raise DataError(f"{file}: holds no reconstruction; let OpenSfM reconstruct the photos")
@@ -111,9 +111,9 @@ def _matrix(turn: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 
 def _read_shots(root: Path, file: Path) -> PhotoSet:
-    cameras = read_table(in_any_case(root / CAMERAS), dict)
+    cameras = read_json(in_any_case(root / CAMERAS))
     listed = []
-    for feature in lookup(read_table(file, dict), "features", list, str(file)):
+    for feature in lookup(read_json(file), "features", list, str(file)):
         shot = lookup(feature, "properties", dict, f"{file}: a feature")
         name = lookup(shot, "filename", str, f"{file}: a feature")
         source = f"{file}: shot {name[:80]!r}"

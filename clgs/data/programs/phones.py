@@ -22,9 +22,9 @@ from clgs.data.programs.listing import (
     numbers,
     photo_set,
     pose,
-    read_table,
     whole_size,
 )
+from clgs.data.transforms import read_json
 from clgs.errors import DataError
 from clgs.files import in_any_case
 from clgs.scene.world import METRES
@@ -57,7 +57,7 @@ def read_polycam(root: Path, folder: Path) -> PhotoSet:
     """
     listed = []
     for file in sorted(folder.glob("*.[jJ][sS][oO][nN]")):
-        given, source = read_table(file, dict), str(file)
+        given, source = read_json(file), str(file)
         names = [f"t_{row}{column}" for row in range(3) for column in range(4)]
         matrix = np.array([number(given, name, source) for name in names]).reshape(3, 4)
         rotation, translation = pose(matrix[:, :3] * FROM_OPENGL, matrix[:, 3], source)
@@ -91,7 +91,7 @@ def read_record3d(root: Path, file: Path) -> PhotoSet:
     Raises:
         DataError: names file, frame, field and remedy.
     """
-    given, source = read_table(file, dict), str(file)
+    given, source = read_json(file), str(file)
     size = whole_size(given, source, ("w", "h"))
     poses = lookup(given, "poses", list, source)
     own = given.get("perFrameIntrinsicCoeffs") or []

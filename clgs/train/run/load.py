@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from clgs.codec.scene_decoder import decode
 from clgs.data.dataset import LEAST_POINTS, Dataset, load_dataset, to_scene_points
-from clgs.data.points import filled, hull_points, random_points, viewpoint
+from clgs.data.points import filled, grown_mask, hull_points, random_points
 from clgs.errors import CodecError, DataError, UsageError
 from clgs.opencl.device import Device
 from clgs.poses.triangulate import triangulate
@@ -102,7 +102,7 @@ def with_points(
         dataset = _triangulated(dataset, cache, config.seed, on_stage)
         if len(dataset.points) >= LEAST_POINTS:
             return dataset
-    viewpoints = [viewpoint(view.camera, view.photo.pixels().alpha) for view in dataset.train]
+    viewpoints = [(view.camera, grown_mask(view.photo.pixels().alpha)) for view in dataset.train]
     start = config.seed, config.start_points, config.start_volume == "hull"
     points = random_points(viewpoints, dataset.radius, dataset.kind == "blender", *start)
     if len(points) < LEAST_POINTS:
