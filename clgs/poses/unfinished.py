@@ -178,19 +178,13 @@ def owned(work: Path) -> Iterator[None]:
     """Make the folder ``work`` and show other processes that it is in use within the block."""
     work.mkdir()
     with (work / OWNER).open("wb") as file:
-        if os.name != "nt":
-            import fcntl
-
-            with suppress(OSError):  # a file system without locks
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        _has_lock(file)
         yield
 
 
 def remove_leftovers(output: Path) -> None:
     """Remove the hidden folders that killed runs with the same ``output`` left next to it."""
-    if os.name == "nt" or not output.parent.is_dir():
-        return
-    name = rf"\.{re.escape(output.stem[:STEM_KEPT])}\.[0-9a-f]{{8}}{re.escape(output.suffix)}"
+    name = rf"\.{re.escape(output.stem[:STEM_KEPT])}\.[0-9a-f]{{18}}{re.escape(output.suffix)}"
     for folder in output.parent.iterdir():
         if re.fullmatch(name, folder.name) and _is_left(folder / "work" / OWNER):
             shutil.rmtree(folder, ignore_errors=True)
@@ -198,13 +192,21 @@ def remove_leftovers(output: Path) -> None:
 
 def _is_left(owner: Path) -> bool:
     """Whether a file OWNER is there, and no running process holds its lock."""
+    with suppress(OSError), owner.open("rb") as file:
+        return _has_lock(file, shared=True) is True
+    return False
+
+
+def _has_lock(file: BinaryIO, shared: bool = False) -> bool | None:
+    """Lock an open file; whether that went well, None if the system has no locks here."""
+    if os.name == "nt":
+        return None
     import fcntl
 
     try:
-        with owner.open("rb") as file:
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except OSError:
-        return False
+        fcntl.flock(file, fcntl.LOCK_NB | (fcntl.LOCK_SH if shared else fcntl.LOCK_EX))
+    except OSError as error:
+        return False if isinstance(error, BlockingIOError) else None
     return True
 
 
@@ -236,24 +238,12 @@ def _lock(folder: Path) -> BinaryIO | None:
         folder.mkdir(exist_ok=True)
         with suppress(FileNotFoundError), ExitStack() as closing:
             file = closing.enter_context((folder / _LOCK).open("wb"))
-            if os.name == "nt" or _has_lock(file):
+            held = _has_lock(file)
+            if held is None or (held and os.fstat(file.fileno()).st_nlink):  # it is still there
                 closing.pop_all()
                 return file
         time.sleep(_MOMENT)
     return None
-
-
-def _has_lock(file: BinaryIO) -> bool:
-    """Lock a file; whether that went well, or cannot be known, and the file is still there."""
-    import fcntl
-
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:  # a file system without locks
-        return True
-    return os.fstat(file.fileno()).st_nlink > 0
 
 
 @contextmanager

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from clgs.errors import DataError
+from clgs.files import atomic_folder
 from clgs.poses.pycolmap_child import CrashError
 from clgs.poses.unfinished import (
     HINT,
@@ -105,13 +106,16 @@ def test_otherwise_it_stays(tmp_path: Path):
 
 
 def test_what_a_killed_run_left_is_removed(tmp_path: Path):
-    left, other = tmp_path / ".data.0123abcd", tmp_path / ".other.0123abcd"
+    with atomic_folder(tmp_path / "data") as made:
+        left = made.with_name(made.name.translate(str.maketrans("0123", "3210")))
+    (tmp_path / "data").rmdir()
+    other = tmp_path / left.name.replace("data", "other")
     for folder in (left, other):
         (folder / "work").mkdir(parents=True)
         (folder / "work" / OWNER).touch()
     mine = tmp_path / ".data.my_notes"
     mine.mkdir()
-    running = tmp_path / ".data.76543210"
+    running = tmp_path / f".data.{76543210:018}"
     running.mkdir()
     with owned(running / "work"):
         remove_leftovers(tmp_path / "data")
