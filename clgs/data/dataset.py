@@ -16,7 +16,7 @@ import numpy.typing as npt
 from clgs.arguments import as_path, check_integer
 from clgs.data.complaints import check_masks, check_photos, find_astray
 from clgs.data.images import Pixels, box_resized, check_chunks, check_image, list_images, read_image
-from clgs.data.lens import forget_sources, undistort_lens, undistort_pixels
+from clgs.data.lens import sources, undistort_lens, undistort_pixels
 from clgs.data.masks import StoredMask, list_masks, read_mask
 from clgs.data.points import BLENDER_DISTANCE, BLENDER_TOLERANCE, read_points
 from clgs.data.posed_photo import Photo, PhotoSet, hold_out
@@ -330,4 +330,4 @@ def _read_images(dataset: Dataset, unread: list[Photo]) -> None:
         masked = pool.map(lambda view: view.used(), dataset.train + dataset.test)
         for _ in (*read, *checked, *whole, *masked):
             pass
-    forget_sources()
+    sources.cache_clear()

@@ -204,20 +204,15 @@ def undistort_pixels(pixels: Pixels, lens: Lens) -> tuple[Pixels, Lens]:
     if pixels.alpha is not None:
         channels = np.concatenate([channels, pixels.alpha[..., None]], axis=2)
     with _one_at_a_time:
-        sources = _sources(lens)
-    result = resample(channels, *sources)
+        found = sources(lens)
+    result = resample(channels, *found)
     result = result.reshape(pinhole.height, pinhole.width, -1)
     alpha = None if pixels.alpha is None else np.ascontiguousarray(result[..., 3])
     return Pixels(np.ascontiguousarray(result[..., :3]), alpha), pinhole
 
 
-def forget_sources() -> None:
-    """Free what is remembered of the last lenses: 12 bytes per pixel."""
-    _sources.cache_clear()
-
-
-@lru_cache(maxsize=2)
-def _sources(lens: Lens) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float32]]:
+@lru_cache(maxsize=2)  # 12 bytes per pixel
+def sources(lens: Lens) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float32]]:
     """The flat index (N,) of the upper left source pixel of each output pixel, and the weights.
 
     Weights (N, 2) in x and y; positions are clamped so that the lower right neighbour exists.

@@ -51,11 +51,6 @@ class Photo:
     listed: str = ""
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Its name, and that in the data set if it is another."""
-        return (self.name, self.listed) if self.listed else (self.name,)
-
-    @property
     def centre(self) -> npt.NDArray[np.float64]:
         """Camera centre (3,) float64 in world units."""
         return np.asarray(-self.rotation.T @ self.translation)
@@ -311,8 +306,14 @@ def locate(listed: ListedPhoto, root: Path, files: PhotoFolder) -> Photo | None:
     path = files.find(listed)
     if path is None:
         return None
-    size = posed_size(path, listed.size)
-    lens = fit_lens(listed.lens(*(listed.size or size)), size, path)
+    width, height = size = posed_size(path, listed.size)
+    lens = listed.lens(*(listed.size or size))
+    if not scales_evenly(size, (lens.width, lens.height)):
+        raise DataError(
+            f"{path}: image is {width}x{height} but its intrinsics are for "
+            f"{lens.width}x{lens.height}; crop neither, or correct w, h and the intrinsics"
+        )
+    lens = lens.resized(width, height)
     if listed.size is None and lens.is_of_another_size:
         raise DataError(
             f"{listed.source}: the centre of the lens, {lens.cx:g} {lens.cy:g}, is not that of "
@@ -343,23 +344,6 @@ def plain_name(name: str) -> str:
 def _absolute(name: str) -> bool:
     drive = PureWindowsPath(name).drive
     return bool(drive) or PurePosixPath(name.replace("\\", "/")).is_absolute()
-
-
-def fit_lens(lens: Lens, size: tuple[int, int], path: Path) -> Lens:
-    """The lens on an image's actual (width, height).
-
-    Raises:
-        DataError: the image has another aspect ratio than the intrinsics.
-    """
-    width, height = size
-    if (width, height) == (lens.width, lens.height):
-        return lens
-    if not scales_evenly(size, (lens.width, lens.height)):
-        raise DataError(
-            f"{path}: image is {width}x{height} but its intrinsics are for "
-            f"{lens.width}x{lens.height}; crop neither, or correct w, h and the intrinsics"
-        )
-    return lens.resized(width, height)
 
 
 def nameable(path: Path) -> bool:

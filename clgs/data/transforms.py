@@ -341,7 +341,7 @@ def _find_listed(
     An entry may lack its suffix, differ as names on two machines do, or lack folders or have more
     of them than the frame, as long as it fits one photo alone.
     """
-    known = [(photo.name, name) for photo in photos for name in photo.names]
+    known = [(p.name, name) for p in photos for name in (p.name, p.listed) if name]
     known += [("", name) for name in missing]
     exact: dict[str, set[str]] = {}
     alike: dict[str, set[str]] = {}

@@ -67,23 +67,9 @@ def is_marked(path: Path) -> bool:
         return all(mark in data for mark in MARKS)
 
 
-def check_shape(path: Path, size: tuple[int, int]) -> None:
-    """Raise DataError unless ``size`` (width, height) is that of an equirectangular photo."""
-    if size[0] != 2 * size[1]:
-        raise DataError(
-            f"{path}: is {size[0]}x{size[1]}, and an equirectangular photo is twice as wide as "
-            "high; leave --equirectangular out, or this photo"
-        )
-
-
 def view_size(width: int) -> int:
     """Pixels of the edge of a view of a photo that is ``width`` pixels wide."""
     return max(1, round(width / np.pi))
-
-
-def view_name(number: int, name: str) -> str:
-    """The name of a view: those of one direction follow each other, in the order of the photos."""
-    return f"view{number:02}_{name}"
 
 
 def cut(pixels: Pixels) -> Iterator[Pixels]:
@@ -94,8 +80,14 @@ def cut(pixels: Pixels) -> Iterator[Pixels]:
     height, width = channels.shape[:2]
     around = np.concatenate([channels[:, -1:], channels, channels[:, :1]], axis=1)
     size = view_size(width)
+    grid = (np.arange(size) + 0.5) / size * 2 - 1
+    grid *= np.tan(np.radians(VIEW / 2))
+    right, down = (axis.ravel() for axis in np.meshgrid(grid, grid))
     for yaw, pitch in DIRECTIONS:
-        longitude, latitude = _angles(size, yaw, pitch)
+        sin, cos = np.sin(np.radians(pitch)), np.cos(np.radians(pitch))
+        ahead, up = cos + sin * down, sin - cos * down
+        longitude = np.arctan2(right, ahead) + np.radians(yaw)
+        latitude = np.arctan2(up, np.hypot(right, ahead))
         column = np.mod(longitude / (2 * np.pi) + 0.5, 1.0) * width + 0.5
         row = np.clip((0.5 - latitude / np.pi) * height - 0.5, 0, height - 1)
         corner = np.minimum(column.astype(np.int32), width), row.astype(np.int32)
@@ -105,18 +97,6 @@ def cut(pixels: Pixels) -> Iterator[Pixels]:
         view = resample(around, index, weight).reshape(size, size, -1)
         alpha = None if pixels.alpha is None else np.ascontiguousarray(view[..., 3])
         yield Pixels(np.ascontiguousarray(view[..., :3]), alpha)
-
-
-def _angles(
-    size: int, yaw: float, pitch: float
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Longitude and latitude (N,) in radians of a view's pixels, row by row."""
-    grid = (np.arange(size) + 0.5) / size * 2 - 1
-    grid *= np.tan(np.radians(VIEW / 2))
-    right, down = (axis.ravel() for axis in np.meshgrid(grid, grid))
-    sin, cos = np.sin(np.radians(pitch)), np.cos(np.radians(pitch))
-    ahead, up = cos + sin * down, sin - cos * down
-    return np.arctan2(right, ahead) + np.radians(yaw), np.arctan2(up, np.hypot(right, ahead))
 
 
 LEAST_PHOTOS = 3
@@ -315,13 +295,19 @@ def _read(one: Found) -> tuple[npt.NDArray[np.uint8], Mask | None]:
 def _write_views(one: Found, images: Path, masks: Path) -> None:
     """Write the views of an equirectangular photo, with their focal length, and their masks."""
     color, mask = _read(one)
-    check_shape(one.path, (color.shape[1], color.shape[0]))
+    height, width = color.shape[:2]
+    if width != 2 * height:
+        raise DataError(
+            f"{one.path}: is {width}x{height}, and an equirectangular photo is twice as wide as "
+            "high; leave --equirectangular out, or this photo"
+        )
     exif = Image.Exif()
     exif.get_ifd(_DETAILS)[_FOCAL_35MM] = FOCAL_35MM
     used = None if mask is None else mask * np.uint8(255)
     stem = one.name.rpartition(".")[0]
     for number, view in enumerate(cut(Pixels(color, used))):
-        copy = images / view_name(number, f"{stem}.jpg")
+        # those of one direction follow each other, in the order of the photos
+        copy = images / f"view{number:02}_{stem}.jpg"
         seen = None if view.alpha is None else whole(Pixels(view.alpha[..., None], None))
         if seen is not None and not seen.any():
             continue  # nothing of it is used

@@ -317,7 +317,13 @@ def map_known(workspace: Workspace, folder: Path) -> Any:
     # What is triangulated last rests on poses that are refined.
     for number, error in enumerate((LOOSE, STRICT, STRICT)):
         if number:
-            _adjust(pycolmap, model, adjusting)
+            # as pycolmap.bundle_adjustment, which makes pycolmap log all that follows
+            pycolmap.ObservationManager(model).filter_observations_with_negative_depth()
+            config = pycolmap.BundleAdjustmentConfig()
+            for image_id in model.reg_image_ids():
+                config.add_image(image_id)
+            config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+            pycolmap.create_default_bundle_adjuster(adjusting, config, model).solve()
         options = workspace.pipeline_options()
         options.mapper.filter_max_reproj_error = error
         options.triangulation.merge_max_reproj_error = error
@@ -330,16 +336,6 @@ def map_known(workspace: Workspace, folder: Path) -> Any:
             options=options,
         )
     return model
-
-
-def _adjust(pycolmap: Any, model: Any, options: Any) -> None:
-    """Do what ``pycolmap.bundle_adjustment`` does, which makes pycolmap log all that follows."""
-    pycolmap.ObservationManager(model).filter_observations_with_negative_depth()
-    config = pycolmap.BundleAdjustmentConfig()
-    for number in model.reg_image_ids():
-        config.add_image(number)
-    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
-    pycolmap.create_default_bundle_adjuster(options, config, model).solve()
 
 
 def to_given_world(workspace: Workspace, model: Any, known: Known) -> float | None:

@@ -102,24 +102,19 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
 
     with quiet_pycolmap(_TASK) as pycolmap, SecondReconstruction() as check:
         own_names, cameras, size = _number_photos(work, known.photos if apart else ())
-        masks = work / "numbered_masks" if (work / MASKS).is_dir() else None
-        workspace = Workspace(
-            pycolmap,
-            Device(device),
-            work / "numbered",
-            work,
-            list(own_names),
-            cameras,
-            seed,
-            on_progress,
-            masks,
-        )
-        pycolmap.set_random_seed(seed)
         files = {work / "numbered" / file: name for file, name in own_names.items()}
         posed, notes = fitting(known, files)
         positions, origin, more = read_positions(files)
         notes += more
-        workspace = replace(workspace, known=posed, positions=positions, finished=finished)
+        workspace = Workspace(
+            *(pycolmap, Device(device), work / "numbered", work),
+            *(list(own_names), cameras, seed, on_progress),
+            masks=work / "numbered_masks" if (work / MASKS).is_dir() else None,
+            known=posed,
+            positions=positions,
+            finished=finished,
+        )
+        pycolmap.set_random_seed(seed)
         extract(workspace, size, quick)
         early = None if quick else check
         workspace, choice, shortened = _match_and_map(workspace, known, early, notes)
