@@ -140,7 +140,6 @@ def read_colmap(root: Path, folder: Path) -> PhotoSet:
                 np.array(image.translation),
                 (camera.width, camera.height),
                 partial(_lens, camera, source),
-                mask_by_name=True,
             )
         )
     photos, missing = locate_all(listed, root, _photo_folder(root, folder, model), str(folder))

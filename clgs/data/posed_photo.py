@@ -164,8 +164,8 @@ class ListedPhoto:
     name: path below the folder of the photos, perhaps without its suffix; source: file and place
     that list it, for messages; rotation and translation: as of Photo; size: (width, height) that
     the lens is for, None if the list does not say; lens: gives the lens for a width and a height;
-    mask: path of the mask below the data set, None if the list names none; mask_by_name: a mask
-    is looked for in the folder masks.
+    mask: path of the mask below the data set; None if the list names none, so that one is looked
+    for in the folder masks.
     """
 
     name: str
@@ -175,7 +175,6 @@ class ListedPhoto:
     size: tuple[int, int] | None
     lens: Callable[[int, int], Lens]
     mask: str | None = None
-    mask_by_name: bool = False
 
 
 class PhotoFolder:
@@ -322,11 +321,10 @@ def locate(listed: ListedPhoto, root: Path, files: PhotoFolder) -> Photo | None:
     name = path.relative_to(files.path).as_posix()
     portable = PurePosixPath(listed.name.replace("\\", "/")).as_posix()
     other = "" if name in (portable, f"{portable}{path.suffix}") else listed.name
-    mask = None
-    if listed.mask_by_name:
+    if listed.mask is None:
         found = (find_mask(root, files.path, each) for each in (portable, name))
         mask = next(filter(None, found), None)
-    if listed.mask is not None:
+    else:
         mask = inside(root, listed.mask, f"{listed.source}: mask_path")
         if not mask.is_file():
             problem = f"names no file ({mask.name[:80]!r}); add it or remove the field"

@@ -195,7 +195,7 @@ def read_frame(file: Path, document: dict[str, Any], number: int) -> ListedPhoto
     lens(*(size or (1, 1)))  # a bad file is bad on every machine, even if the image is missing
     mask = None if frame.get("mask_path") is None else fields.text("mask_path", "")
     name = fields.text("file_path", "")
-    return ListedPhoto(name, source, rotation, translation, size, lens, mask, mask is None)
+    return ListedPhoto(name, source, rotation, translation, size, lens, mask)
 
 
 @dataclass(frozen=True)

@@ -110,15 +110,15 @@ def fit(
     Returns:
         pycolmap's Sim3d, None if the tags do not tell one; and the notes for the user.
     """
-    place = {name: index for index, name in enumerate(poses.names)}
-    names = [name for name in workspace.positions if name in place]
+    placed = set(poses.names)
+    names = [name for name in workspace.positions if name in placed]
     if len(names) < LEAST_TAGS:
         return None, []
     tags = np.array([workspace.positions[name] for name in names])
-    centre = poses.centre[[place[name] for name in names]]
+    poses = poses.chosen(names)
     away = tags - np.median(tags, axis=0)
     extent = float(np.median(np.linalg.norm(away, axis=1)))
-    spread = np.linalg.svd(centre - centre.mean(0), compute_uv=False)
+    spread = np.linalg.svd(poses.centre - poses.centre.mean(0), compute_uv=False)
     unused = "GPS tags give no scale"
     if extent <= 0.0:
         return None, [f"{unused}: all are the same"]
@@ -127,19 +127,18 @@ def fit(
     pycolmap = workspace.pycolmap
     options = pycolmap.RANSACOptions()
     options.max_error, options.random_seed = 2 * EXACT * extent, workspace.seed
-    estimate = pycolmap.estimate_sim3d_robust(centre, tags, options)
+    estimate = pycolmap.estimate_sim3d_robust(poses.centre, tags, options)
     if estimate is None:
         return None, [f"{unused}: they contradict the poses"]
     found = estimate["tgt_from_src"]
-    moved = np.array([found * one for one in centre])
+    moved = np.array([found * one for one in poses.centre])
     off = np.linalg.norm(moved - tags, axis=1)
     usual = float(np.median(off))
     if usual > EXACT * extent:
         return None, [
             f"{unused}: they are {usual:.1f} m off the poses at the median, on {extent:.1f} m"
         ]
-    rotation = poses.rotation[[place[name] for name in names]]
-    turned = found.rotation.matrix() @ rotation.transpose(0, 2, 1)
+    turned = found.rotation.matrix() @ poses.rotation.transpose(0, 2, 1)
     upright = -turned[:, 2, 1] - turned[:, 2, 2] / 2  # image up, and half of looking down
     if float(upright.mean()) < UPRIGHT:
         return None, [

@@ -112,12 +112,6 @@ def test_impossible_distortion_is_refused():
         undistort_lens(replace(PHONE, radial=(-5.0, 0.0)))
 
 
-def test_resized_scales_each_axis():
-    small = PHONE.resized(133, 100)
-    assert small.cx / small.width == pytest.approx(PHONE.cx / PHONE.width)
-    assert small.fy / small.height == pytest.approx(PHONE.fy / PHONE.height)
-
-
 @pytest.mark.parametrize("view", [60.0, 90.0, 120.0])
 def test_the_picture_of_a_fisheye_shows_the_chosen_view(view):
     """An equidistant lens of 180 degrees: half the height is a quarter of a turn."""

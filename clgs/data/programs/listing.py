@@ -98,7 +98,7 @@ def listed_photo(
 ) -> ListedPhoto:
     """A photo of a known lens; its mask is found by name."""
     size = lens.width, lens.height
-    return ListedPhoto(name, source, rotation, translation, size, lens.resized, mask_by_name=True)
+    return ListedPhoto(name, source, rotation, translation, size, lens.resized)
 
 
 def photo_set(

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from clgs.data.lens import Lens
 from clgs.data.posed_photo import ListedPhoto, PhotoSet
@@ -81,11 +80,7 @@ def _read_model(root: Path, file: Path) -> PhotoSet:
     cameras = lookup(model, "cameras", dict, str(file))
     listed = []
     for name, shot in model["shots"].items():
-        source = f"{file}: shot {name[:80]!r}"
-        turn = numbers(lookup(shot, "rotation", list, source), (3,), source, "rotation")
-        moved = numbers(lookup(shot, "translation", list, source), (3,), source, "translation")
-        rotation = _matrix(turn)
-        listed.append(_listed(name, source, rotation, moved, cameras, shot.get("camera")))
+        listed.append(_listed(name, f"{file}: shot {name[:80]!r}", shot, cameras))
     found = photo_set(KIND, root, file, listed)
     points = [one for one in dict(model.get("points") or {}).values() if isinstance(one, dict)]
     if points:
@@ -103,13 +98,6 @@ def _read_model(root: Path, file: Path) -> PhotoSet:
     return found
 
 
-def _matrix(turn: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """The rotation by the vector ``turn`` (3,), axis times radians, as a matrix (3, 3)."""
-    from scipy.spatial.transform import Rotation  # 0.2 s, 30 MB: only where it is needed
-
-    return np.asarray(Rotation.from_rotvec(turn).as_matrix())
-
-
 def _read_shots(root: Path, file: Path) -> PhotoSet:
     cameras = read_json(in_any_case(root / CAMERAS))
     listed = []
@@ -117,19 +105,28 @@ def _read_shots(root: Path, file: Path) -> PhotoSet:
         shot = lookup(feature, "properties", dict, f"{file}: a feature")
         name = lookup(shot, "filename", str, f"{file}: a feature")
         source = f"{file}: shot {name[:80]!r}"
-        turn = numbers(lookup(shot, "rotation", list, source), (3,), source, "rotation")
-        centre = numbers(lookup(shot, "translation", list, source), (3,), source, "translation")
-        rotation, moved = pose(_matrix(turn).T, centre, source)
-        listed.append(_listed(name, source, rotation, moved, cameras, shot.get("camera")))
+        listed.append(_listed(name, source, shot, cameras, has_centre=True))
     found = photo_set(KIND, root, file, listed)
     found.frame = frame_of(np.array([photo.centre for photo in found.train + found.test]))
     return found
 
 
 def _listed(
-    name: str, source: str, rotation: Any, translation: Any, cameras: dict[str, Any], camera: Any
+    name: str, source: str, shot: Any, cameras: dict[str, Any], has_centre: bool = False
 ) -> ListedPhoto:
-    """A shot with its camera: the one that it names, with or without "v2 ", or the only one."""
+    """A shot with its camera: the one that it names, with or without "v2 ", or the only one.
+
+    ``has_centre``: what the shot calls its translation is the place of the camera.
+    """
+    from scipy.spatial.transform import Rotation  # 0.2 s, 30 MB: only where it is needed
+
+    turn, translation = (
+        numbers(lookup(shot, field, list, source), (3,), source, field)
+        for field in ("rotation", "translation")
+    )
+    rotation, camera = Rotation.from_rotvec(turn).as_matrix(), shot.get("camera")
+    if has_centre:
+        rotation, translation = pose(rotation.T, translation, source)
     known = {key.removeprefix("v2 "): value for key, value in cameras.items()}
     given = known.get(str(camera).removeprefix("v2 "))
     if given is None and camera is None and len(known) == 1:

@@ -71,9 +71,7 @@ def read(root: Path, file: Path) -> PhotoSet:
         rotation, translation = pose(turn.as_matrix() * FROM_OPENGL, np.array(centre), source)
         lens = partial(_lens, row, source)
         lens(1, 1)  # a bad file is bad on every machine, even if the photo is missing
-        listed.append(
-            ListedPhoto(row["name"], source, rotation, translation, None, lens, mask_by_name=True)
-        )
+        listed.append(ListedPhoto(row["name"], source, rotation, translation, None, lens))
     found = photo_set(KIND, root, file, listed)
     found.frame = frame_of(np.array([photo.centre for photo in found.train + found.test]))
     clouds = sorted(root.glob("*.[pP][lL][yY]"))

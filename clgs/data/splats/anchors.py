@@ -29,8 +29,8 @@ from clgs.errors import DataError, OutputError, UsageError
 from clgs.files import atomic_write_all, check_target
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
 from clgs.scene.mlps import LAYERS, MLP_SIZE, Mlps, unpack_head
-from clgs.scene.scene import MIN_Q, QuantizedScene, RenderSettings, SceneTransform, check_ranges
-from clgs.scene.storage import DAMAGE, LATER, describe_damage, load_archive
+from clgs.scene.scene import MIN_Q, QuantizedScene, check_ranges
+from clgs.scene.storage import DAMAGE, GROUPS, LATER, describe_damage, load_archive
 
 TORCH_HEADS = {"opacity": "opacity_mlp", "color": "color_mlp", "covariance": "cov_mlp"}
 TORCH_LAYERS = dict(zip(LAYERS, ("0.weight", "0.bias", "2.weight", "2.bias"), strict=True))
@@ -250,11 +250,7 @@ def _unfit(value: float, scale: float | None, letter: str, span: float) -> str:
     return f"{problem}; correct it, or give {letter} of --q P,O,A,S as {most:.2g} or less"
 
 
-_GROUPS: dict[str, Any] = {
-    "scales": QuantizationScales(),
-    "transform": SceneTransform(),
-    "settings": RenderSettings(),
-}
+_GROUPS = {name: GROUPS[name] for name in ("scales", "transform", "settings")}
 
 
 _FIELD = re.compile(rf"({'|'.join(_GROUPS)})\.\w+")

@@ -233,26 +233,41 @@ def _match(
 
     ``on_matched`` receives the number of pairs that were matched since its last call.
     """
-    matches = {}
     with workspace.open() as database:
         numbers = workspace.ids(database)
-        for some in by_tiles(pairs):
-            used = sorted({place for pair in some for place in pair})
-            rows, photos = [], []
-            for place in used:
-                keypoints = np.asarray(database.read_keypoints(numbers[place]), np.float64)
-                largest = np.argsort(-turn_and_scale(keypoints)[:, 1], kind="stable")
-                rows.append(np.sort(largest[:features]).astype(np.uint32))
-                photos.append(database.read_descriptors(numbers[place]).data[rows[-1]])
-            uploaded = nearest_descriptors.upload(workspace.device, photos)
-            local = [(used.index(a), used.index(b)) for a, b in some]
-            for start in range(0, len(some), BATCH):
-                batch = local[start : start + BATCH]
-                found = mutual_matches(workspace.device, uploaded, photos, batch, ratio)
-                for pair, (a, b), one in zip(some[start:], batch, found, strict=False):
-                    matches[pair] = np.stack([rows[a][one[:, 0]], rows[b][one[:, 1]]], 1)
-                on_matched(len(batch))
-    return matches
+
+        def read(place: int) -> tuple[Matches, Bytes]:
+            keypoints = np.asarray(database.read_keypoints(numbers[place]), np.float64)
+            largest = np.argsort(-turn_and_scale(keypoints)[:, 1], kind="stable")
+            rows = np.sort(largest[:features]).astype(np.uint32)
+            return rows, database.read_descriptors(numbers[place]).data[rows]
+
+        return dict(match_by_tiles(workspace.device, pairs, read, ratio, on_matched))
+
+
+def match_by_tiles(
+    device: Device,
+    pairs: Sequence[Pair],
+    read: Callable[[int], tuple[Matches, Bytes]],
+    ratio: float,
+    on_matched: Callable[[int], None],
+) -> Iterator[tuple[Pair, Matches]]:
+    """Match pairs of photos, a few of which are in memory at a time.
+
+    ``read`` gives the numbers (N,) and the descriptors (N, 128) of the features of a photo that are
+    used; ``ratio`` and ``on_matched``: see above.
+    """
+    for some in by_tiles(pairs):
+        used = sorted({photo for pair in some for photo in pair})
+        rows, photos = zip(*map(read, used), strict=True)
+        uploaded = nearest_descriptors.upload(device, photos)
+        for start in range(0, len(some), BATCH):
+            batch = some[start : start + BATCH]
+            local = [(used.index(a), used.index(b)) for a, b in batch]
+            found = mutual_matches(device, uploaded, photos, local, ratio)
+            for pair, (a, b), one in zip(batch, local, found, strict=True):
+                yield pair, np.stack([rows[a][one[:, 0]], rows[b][one[:, 1]]], 1)
+            on_matched(len(batch))
 
 
 def _write(workspace: Workspace, found: Mapping[Pair, Matches]) -> list[tuple[int, int]]:

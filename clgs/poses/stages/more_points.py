@@ -12,10 +12,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from clgs.ops.match import upload
 from clgs.poses.evidence import Evidence, sampson_error
-from clgs.poses.stages.matching import MAX_RATIO, Matches, Pair, by_tiles, mutual_matches
+from clgs.poses.stages.matching import MAX_RATIO, Matches, Pair, match_by_tiles
 from clgs.poses.triangulate import MAX_REPROJECTION_ERROR
 from clgs.poses.workspace import Workspace
 
@@ -51,7 +51,7 @@ def add_points(workspace: Workspace, model: Any, evidence: Evidence) -> Any:
             for pair in evidence.strongest(NEIGHBOURS)
             if pair.first in placed and pair.second in placed
         ]
-        for first, second, matches in _match(workspace, database, model, pairs):
+        for (first, second), matches in _match(workspace, database, model, evidence, pairs):
             geometry = pycolmap.TwoViewGeometry()
             geometry.config = pycolmap.TwoViewGeometryConfiguration.CALIBRATED
             geometry.inlier_matches = matches
@@ -74,31 +74,25 @@ def add_points(workspace: Workspace, model: Any, evidence: Evidence) -> Any:
 
 
 def _match(
-    workspace: Workspace, database: Any, model: Any, pairs: Sequence[Pair]
-) -> Iterator[tuple[int, int, Matches]]:
+    workspace: Workspace, database: Any, model: Any, evidence: Evidence, pairs: Sequence[Pair]
+) -> Iterator[tuple[Pair, Matches]]:
     """Match pairs of images, by their numbers, by the features that have no point."""
+
+    def read(number: int) -> tuple[Matches, npt.NDArray[np.uint8]]:
+        every = np.arange(len(evidence.keypoints[number]), dtype=np.uint32)
+        rows = np.setdiff1d(every, model.image(number).get_observation_point2D_idxs())
+        return rows, database.read_descriptors(number).data[rows]
+
     count = workspace.counter(STAGE, 0, len(pairs))
-    for some in by_tiles(pairs):
-        numbers = sorted({number for pair in some for number in pair})
-        free, photos, rays = [], [], []
-        for number in numbers:
-            image = model.image(number)
-            keypoints = np.asarray(database.read_keypoints(number), np.float64)
-            used = image.get_observation_point2D_idxs()
-            rows = np.setdiff1d(np.arange(len(keypoints), dtype=np.uint32), used)
-            pixels = keypoints[rows, :2]
-            free.append(rows)
-            photos.append(database.read_descriptors(number).data[rows])
-            rays.append(model.cameras[image.camera_id].cam_from_img(pixels))
-        uploaded = upload(workspace.device, photos)
-        local = [(numbers.index(first), numbers.index(second)) for first, second in some]
-        matched = mutual_matches(workspace.device, uploaded, photos, local, MAX_RATIO)
-        for (first, second), (a, b), match in zip(some, local, matched, strict=True):
-            one, other = model.image(first), model.image(second)
-            pose = other.cam_from_world() * one.cam_from_world().inverse()
-            left, right = rays[a][match[:, 0]], rays[b][match[:, 1]]
-            error = sampson_error(pose.rotation.matrix(), pose.translation, left, right)
-            focal = min(model.cameras[i.camera_id].mean_focal_length() for i in (one, other))
-            match = match[error * focal <= MAX_EPIPOLAR_ERROR]
-            yield first, second, np.stack([free[a][match[:, 0]], free[b][match[:, 1]]], 1)
-        count(len(some))
+    for pair, match in match_by_tiles(workspace.device, pairs, read, MAX_RATIO, count):
+        images = [model.image(number) for number in pair]
+        cameras = [model.cameras[image.camera_id] for image in images]
+        first, second = (image.cam_from_world() for image in images)
+        pose = second * first.inverse()
+        left, right = (
+            camera.cam_from_img(evidence.keypoints[number][rows])
+            for number, camera, rows in zip(pair, cameras, match.T, strict=True)
+        )
+        error = sampson_error(pose.rotation.matrix(), pose.translation, left, right)
+        focal = min(camera.mean_focal_length() for camera in cameras)
+        yield pair, match[error * focal <= MAX_EPIPOLAR_ERROR]

@@ -170,36 +170,25 @@ def test_coefficients_of_degree_4_are_cut(tmp_path, rng, caplog):
     assert "s.ply: colors of degree 4 are cut to 3" in caplog.text
 
 
-def test_a_filter_widens_splats_and_keeps_their_light(tmp_path, rng):
-    """A ball of variance v under a filter of variance 3 v: twice as wide, an eighth as opaque."""
+@pytest.mark.parametrize("thickness", ["a ball", None, -np.inf, -30.0])
+def test_a_filter_widens_splats_and_keeps_their_light(tmp_path, rng, thickness):
+    """A variance of v under a filter of 3 v: twice as wide on each axis, half as opaque for it."""
     gaussians = stored(rng, 10)
     gaussians.log_scale[:] = gaussians.log_scale[:, :1]
-    columns = columns_of(gaussians)
-    columns["filter_3D"] = np.exp(gaussians.log_scale[:, 0]) * np.float32(3**0.5)
-    path = write(tmp_path / "s.ply", columns)
-    found = load_splats(path).gaussians
-    assert found.antialiased
-    assert np.allclose(found.log_scale, gaussians.log_scale + np.log(2), atol=1e-5)
-    before, after = (1 / (1 + np.exp(-one.opacity)) for one in (gaussians, found))
-    assert np.allclose(after, before / 8, rtol=1e-4)
-    assert "filter_3D" not in read_splats(path, {})[0].names
-
-
-@pytest.mark.parametrize("thickness", [None, -np.inf, -30.0])
-def test_a_filter_leaves_flat_splats_their_light(tmp_path, rng, thickness):
-    """A disk of variance v under a filter of variance 3 v: twice as wide, a quarter as opaque."""
-    gaussians = stored(rng, 10)
-    gaussians.log_scale[:] = gaussians.log_scale[:, :1]
-    columns = columns_of(gaussians)
+    columns, axes = columns_of(gaussians), 3 if thickness == "a ball" else 2
     columns["filter_3D"] = np.exp(gaussians.log_scale[:, 0]) * np.float32(3**0.5)
     if thickness is None:
         del columns["scale_2"]
-    else:
+    elif axes == 2:
         columns["scale_2"] = np.full(10, thickness, np.float32)
-    found = load_splats(write(tmp_path / "s.ply", columns)).gaussians
-    assert np.allclose(found.log_scale[:, :2], gaussians.log_scale[:, :2] + np.log(2), atol=1e-5)
+    path = write(tmp_path / "s.ply", columns)
+    found = load_splats(path).gaussians
+    assert found.antialiased
+    wider = gaussians.log_scale[:, :axes] + np.log(2)
+    assert np.allclose(found.log_scale[:, :axes], wider, atol=1e-5)
     before, after = (1 / (1 + np.exp(-one.opacity)) for one in (gaussians, found))
-    assert np.allclose(after, before / 4, rtol=1e-4)
+    assert np.allclose(after, before / 2**axes, rtol=1e-4)
+    assert "filter_3D" not in read_splats(path, {})[0].names
 
 
 @pytest.mark.parametrize(
