@@ -7,7 +7,7 @@ sets, and a model is laid over them if they are exact enough for its size.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -100,12 +100,8 @@ def read_positions(paths: Iterable[Path]) -> tuple[dict[str, Floats], Place, lis
     return found, origin, notes
 
 
-def fit(
-    workspace: Workspace, poses: Poses, own_names: Mapping[str, str]
-) -> tuple[Any | None, list[str]]:
+def fit(workspace: Workspace, poses: Poses) -> tuple[Any | None, list[str]]:
     """Fit a similarity from a model's world to that of the GPS tags.
-
-    ``own_names``: of the photos, for the notes.
 
     Returns:
         pycolmap's Sim3d, None if the tags do not tell one; and the notes for the user.
@@ -146,7 +142,7 @@ def fit(
             "E and W, and which is the latitude"
         ]
     lying = [
-        f"{own_names[name]} by {distance:.0f} m"
+        f"{name} by {distance:.0f} m"
         for name, distance in zip(names, off.tolist(), strict=True)
         if distance > max(LIE * usual, LIE_METRES)
     ]

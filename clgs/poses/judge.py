@@ -75,13 +75,11 @@ Differences = Mapping[str, PoseDifference]
 """
 
 
-def judge(
-    choice: ModelChoice, second: Any | None, checked: bool, names: Mapping[str, str]
-) -> Verdict:
+def judge(choice: ModelChoice, second: Any | None, checked: bool, names: Sequence[str]) -> Verdict:
     """Judge every photo, and take photos with a wrong pose out of the kept model.
 
     ``second``: the second reconstruction, None if it failed or was not made; ``checked``: it was to
-    be made; ``names``: all photos' own names by those that the models use, in order.
+    be made; ``names``: of all photos, in order.
     """
     kept, model = choice.kept, choice.kept.reconstruction
     poses = poses_of(model)
@@ -102,11 +100,10 @@ def judge(
         model.deregister_frame(image.frame_id)
 
     photos = tuple(
-        replace(judged[name], name=own) if name in judged else _without_pose(name, own, choice)
-        for name, own in names.items()
+        judged[name] if name in judged else _without_pose(name, choice) for name in names
     )
     placed = {name for name, one in judged.items() if one.status != LEFT_OUT}
-    apart = (tuple(names[one] for one in part if one not in placed) for part in choice.apart)
+    apart = (tuple(one for one in part if one not in placed) for part in choice.apart)
     return Verdict(
         registered=model.num_reg_images(),
         total=len(names),
@@ -294,12 +291,12 @@ def _part_reason(part: Sequence[str]) -> str:
     return f"it and {others} other{'s' * (others > 1)} form a part of their own"
 
 
-def _without_pose(name: str, own: str, choice: ModelChoice) -> PhotoVerdict:
+def _without_pose(name: str, choice: ModelChoice) -> PhotoVerdict:
     part = next((names for names in choice.apart if name in names), [])
     if len(part) > 1:
-        return PhotoVerdict(own, LEFT_OUT, reasons=(_part_reason(part),), remedy=CONNECT)
+        return PhotoVerdict(name, LEFT_OUT, reasons=(_part_reason(part),), remedy=CONNECT)
     reason = "it shares too little with the other photos"
-    return PhotoVerdict(own, LEFT_OUT, reasons=(reason,), remedy=SHARPER)
+    return PhotoVerdict(name, LEFT_OUT, reasons=(reason,), remedy=SHARPER)
 
 
 def is_ambiguous(

@@ -157,25 +157,25 @@ def add_photos(source: Path, found: Collection) -> None:
         found.photos.append(Found(photo.path, new_name(photo.path.name, taken), photo.mask))
 
 
-def fitting(known: Known, names: Mapping[Path, str]) -> tuple[dict[str, Photo], list[str]]:
+def fitting(known: Known, files: Sequence[Path]) -> tuple[dict[str, Photo], list[str]]:
     """Choose the given poses whose lens suits the photo's pixels.
 
     Args:
         known: the given poses.
-        names: the photo's name in the data set to be made, by its file.
+        files: the photos, named as in the data set to be made.
 
     Returns:
         The photos with a pose by the file's name, their lenses at the size of the file; and a note
         if some do not fit.
     """
     fit, other = {}, list[str]()
-    for file, name in names.items():
-        photo = known.photos.get(Path(name).stem)
+    for file in files:
+        photo = known.photos.get(file.stem)
         if photo is None:
             continue
         width, height = image_size(file)
         if abs(width * photo.lens.height - height * photo.lens.width) > max(width, height):
-            other.append(name)
+            other.append(file.name)
         else:
             fit[file.name] = replace(photo, lens=photo.lens.resized(width, height))
     if not other:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import shutil
-from collections.abc import Callable, Container, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -101,21 +101,21 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
         on_stage([stage, done, total])
 
     with quiet_pycolmap(_TASK) as pycolmap, SecondReconstruction() as check:
-        own_names, cameras, size = _number_photos(work, known.photos if apart else ())
-        files = {work / "numbered" / file: name for file, name in own_names.items()}
-        posed, notes = fitting(known, files)
-        positions, origin, more = read_positions(files)
+        photos = sorted((work / "images").iterdir())
+        posed, notes = fitting(known, photos)
+        positions, origin, more = read_positions(photos)
         notes += more
+        cameras = camera_numbers(photos, known.photos if apart else ())
         workspace = Workspace(
-            *(pycolmap, Device(device), work / "numbered", work),
-            *(list(own_names), cameras, seed, on_progress),
-            masks=work / "numbered_masks" if (work / MASKS).is_dir() else None,
+            *(pycolmap, Device(device), work / "images", work),
+            *([photo.name for photo in photos], cameras, seed, on_progress),
+            masks=work / MASKS if (work / MASKS).is_dir() else None,
             known=posed,
             positions=positions,
             finished=finished,
         )
         pycolmap.set_random_seed(seed)
-        extract(workspace, size, quick)
+        extract(workspace, max(max(image_size(photo)) for photo in photos), quick)
         early = None if quick else check
         workspace, choice, shortened = _match_and_map(workspace, known, early, notes)
         choice = look_again(workspace, choice)
@@ -128,7 +128,7 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
             second = check.model(workspace, choice)
         if not quick and (doubtful := unconfirmed(choice, second)):
             second = check.replace_doubtful(doubtful)
-        verdict = judge(choice, second, not quick, own_names)
+        verdict = judge(choice, second, not quick, workspace.names)
         if verdict.registered < 2:
             raise DataError(
                 "no photo could be placed for certain; take more, overlapping photos of a "
@@ -140,10 +140,8 @@ def work(arguments: Any, on_stage: OnStage) -> dict[str, Any]:
                 STAGE, lambda: [add_points(workspace, model, choice.evidence)]
             )
             verdict = replace(verdict, **point_figures(model))
-        world = _put_into_world(workspace, model, known, origin, own_names, notes)
-        for file, name in own_names.items():
-            (work / "numbered" / file).rename(work / "images" / name)
-        _write_data_set(workspace, model, own_names, target, max_size)
+        world = _put_into_world(workspace, model, known, origin, notes)
+        _write_data_set(workspace, model, target, max_size)
         if line := to_text(*world):
             (target / WORLD).write_text(line + "\n", encoding="utf-8")
     return asdict(replace(verdict, seconds=finished.seconds(), notes=tuple(notes)))
@@ -193,7 +191,6 @@ def _put_into_world(
     model: Any,
     known: Known,
     origin: Place,
-    own_names: dict[str, str],
     notes: list[str],
 ) -> tuple[int, Place]:
     """Move a model to where poses or GPS tags say that it is; returns what its world is then."""
@@ -204,7 +201,7 @@ def _put_into_world(
             f"are turned by at most {turn:.2f} degrees"
         )
         return known.frame, known.place
-    found, lines = fit(workspace, poses_of(model), own_names)
+    found, lines = fit(workspace, poses_of(model))
     notes += lines
     if found is None:
         return LOCAL, NOWHERE
@@ -212,34 +209,7 @@ def _put_into_world(
     return EARTH, origin
 
 
-def _number_photos(work: Path, apart: Container[str]) -> tuple[dict[str, str], list[int], int]:
-    """Move ``work``/images to ``work``/numbered under numbers: names may hold spaces and folders.
-
-    Masks are copied to ``work``/numbered_masks, if there are any. ``apart``: stems of the names of
-    photos that share no camera with the others.
-
-    Returns:
-        The photos' own names by their new ones, their cameras, and their longest side in pixels.
-    """
-    images, masks = work / "images", work / MASKS
-    paths = sorted(path for path in images.rglob("*") if path.is_file())
-    cameras, size = camera_numbers(paths, apart), max(max(image_size(path)) for path in paths)
-    (work / "numbered").mkdir()
-    if masks.is_dir():
-        (work / "numbered_masks").mkdir()
-    names = {}
-    for number, path in enumerate(paths):
-        file, name = f"{number:06d}{path.suffix.lower()}", path.relative_to(images).as_posix()
-        names[file] = name
-        path.rename(work / "numbered" / file)
-        if masks.is_dir():
-            shutil.copyfile(masks / f"{name}.png", work / "numbered_masks" / f"{file}.png")
-    return names, cameras, size
-
-
-def _write_data_set(
-    workspace: Workspace, model: Any, own_names: dict[str, str], target: Path, max_size: int
-) -> None:
+def _write_data_set(workspace: Workspace, model: Any, target: Path, max_size: int) -> None:
     """Write undistorted images, their masks, and the model with pinhole cameras into ``target``.
 
     Photos wider than ``max_size`` pixels are reduced to about that width, unless it is 0.
@@ -248,15 +218,13 @@ def _write_data_set(
     if max_size:
         upright = max(camera.height / camera.width for camera in model.cameras.values())
         options.max_image_size = round(max_size * max(upright, 1.0))  # of the longer side
-    for image in model.images.values():
-        image.name = own_names[image.name]
     work = workspace.folder
     (work / "model").mkdir()
     model.write(work / "model")
     made, total = work / "undistorted" / "images", model.num_reg_images()
     with _files_counted(made, lambda done: workspace.on_progress("undistort", done, total)):
         workspace.pycolmap.undistort_images(
-            *(work / "undistorted", work / "model", work / "images"),
+            *(work / "undistorted", work / "model", workspace.images),
             undistort_options=options,
             jpeg_quality=JPEG_QUALITY,
         )

@@ -52,7 +52,7 @@ class Finished:
 
     def summary(self) -> str:
         """Say what is there already, in a line; empty if nothing is."""
-        photos = len(list((self._folder / _FEATURES).glob("[0-9]*")))
+        photos = len(list((self._folder / _FEATURES).glob("[!.]*")))
         stages = sorted(path.name for path in self._folder.glob("[0-9]*"))
         names = dict.fromkeys(name.partition(" ")[2] for name in stages)
         parts = [f"features of {photos} photos"] * bool(photos) + list(names)

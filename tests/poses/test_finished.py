@@ -51,7 +51,7 @@ def test_killed_at_every_stage_it_makes_the_same_bytes(tmp_path: Path, caplog):
         command = [sys.executable, "-c", PROCESS, str(photos), str(output), *kill]
         assert subprocess.run(command, timeout=600).returncode == -signal.SIGKILL
         assert not output.exists()
-        for kept in tmp_path.glob(".data.*/features/000003*"):
+        for kept in tmp_path.glob(".data.*/features/3.png*"):
             kept.unlink()
     stages: list[tuple[str, int]] = []
     prepare(photos, output, on_progress=lambda stage, done, _: stages.append((stage, done)))

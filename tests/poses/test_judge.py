@@ -190,9 +190,9 @@ def explained(model: Any, share: float, turned: tuple[int, ...] = ()) -> Explain
 def verdict_on(models: list[MappedModel], second: Any, checked: bool = True, apart=(), more=()):
     """The verdict on the first of these models, whose photos keep their names."""
     model = models[0].reconstruction
-    names = {name: name for name in [model.image(n).name for n in sorted(model.reg_image_ids())]}
+    names = [model.image(n).name for n in sorted(model.reg_image_ids())]
     choice = ModelChoice(models[0], models, Evidence([], {}), list(apart))
-    return judge(choice, second, checked, names | {name: f"own {name}" for name in more})
+    return judge(choice, second, checked, [*names, *more])
 
 
 def test_a_step_is_that_to_the_nearer_neighbour(pycolmap):
@@ -240,10 +240,10 @@ def test_photos_without_a_pose_are_left_out_for_a_reason(pycolmap):
     kept = MappedModel(INCREMENTAL, model, explained(model, 1.0))
     verdict = verdict_on([kept], None, False, [["x.jpg", "y.jpg"]], ["x.jpg", "y.jpg", "z.jpg"])
     assert (verdict.registered, verdict.total) == (PHOTOS, PHOTOS + 3)
-    assert verdict.apart == (("own x.jpg", "own y.jpg"),)
+    assert verdict.apart == (("x.jpg", "y.jpg"),)
     apart, alone = "it and 1 other form a part of their own", "it shares too little with the other"
     reasons = {photo.name: photo.reasons[0] for photo in verdict.of(LEFT_OUT)}
-    assert list(reasons) == ["own x.jpg", "own y.jpg", "own z.jpg"]
-    assert reasons["own x.jpg"] == reasons["own y.jpg"] == apart
-    assert reasons["own z.jpg"].startswith(alone)
+    assert list(reasons) == ["x.jpg", "y.jpg", "z.jpg"]
+    assert reasons["x.jpg"] == reasons["y.jpg"] == apart
+    assert reasons["z.jpg"].startswith(alone)
     assert verdict.sure.startswith("not checked: ")

@@ -229,7 +229,7 @@ def test_mirrored_gps_tags_are_refused():
     """A level walk fits tags of America without W, too, turned upside down."""
     for mirrored in (False, True):
         walk = LevelWalk(mirrored)
-        found, notes = fit(walk, walk.poses, {name: name for name in walk.names})
+        found, notes = fit(walk, walk.poses)
         assert (found is None) == mirrored
         assert len(notes) == 1
         assert ("the tags are mirrored" in notes[0]) == mirrored
