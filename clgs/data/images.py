@@ -72,6 +72,17 @@ class Pixels:
         """(width, height) in pixels."""
         return self.color.shape[1], self.color.shape[0]
 
+    @property
+    def channels(self) -> npt.NDArray[np.uint8]:
+        """Color, and alpha if there is any, (H, W, 3 or 4)."""
+        return self.color if self.alpha is None else np.dstack([self.color, self.alpha])
+
+    @classmethod
+    def of(cls, channels: npt.NDArray[np.uint8]) -> Pixels:
+        """The pixels whose ``channels`` these are; a single one is that of a mask."""
+        alpha = np.ascontiguousarray(channels[..., 3]) if channels.shape[2] == 4 else None
+        return cls(np.ascontiguousarray(channels[..., :3]), alpha)
+
 
 def list_images(folder: Path) -> list[Path]:
     """Photos directly in ``folder`` by their suffixes, sorted by name."""
@@ -288,8 +299,7 @@ def _to_8_bit(image: Image.Image) -> Pixels:
         image = Image.fromarray(_to_uint8(grey / 257.0))
     if image.has_transparency_data:
         rgba = np.asarray(image.convert("RGBA"))
-        alpha = np.ascontiguousarray(rgba[..., 3])
-        return Pixels(np.ascontiguousarray(rgba[..., :3]), None if alpha.min() == 255 else alpha)
+        return Pixels.of(rgba[..., :3] if rgba[..., 3].min() == 255 else rgba)
     return Pixels(np.array(image.convert("RGB")), None)
 
 

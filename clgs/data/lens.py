@@ -200,15 +200,10 @@ def undistort_pixels(pixels: Pixels, lens: Lens) -> tuple[Pixels, Lens]:
     pinhole, _ = undistort_lens(lens)
     if not lens.distorted:
         return pixels, lens
-    channels = pixels.color
-    if pixels.alpha is not None:
-        channels = np.concatenate([channels, pixels.alpha[..., None]], axis=2)
     with _one_at_a_time:
         found = sources(lens)
-    result = resample(channels, *found)
-    result = result.reshape(pinhole.height, pinhole.width, -1)
-    alpha = None if pixels.alpha is None else np.ascontiguousarray(result[..., 3])
-    return Pixels(np.ascontiguousarray(result[..., :3]), alpha), pinhole
+    result = resample(pixels.channels, *found)
+    return Pixels.of(result.reshape(pinhole.height, pinhole.width, -1)), pinhole
 
 
 @lru_cache(maxsize=2)  # 12 bytes per pixel

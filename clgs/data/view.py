@@ -74,8 +74,7 @@ def kept_pixels(files: list[Path], settings: object, make: Callable[[], Pixels])
     pixels, buffer = make(), io.BytesIO()
     if pixels.alpha is not None and pixels.alpha.min() == 255:
         return pixels  # it would come back without alpha
-    layers = [pixels.color] if pixels.alpha is None else [pixels.color, pixels.alpha[..., None]]
-    Image.fromarray(np.concatenate(layers, axis=2)).save(buffer, "PNG", compress_level=1)
+    Image.fromarray(pixels.channels).save(buffer, "PNG", compress_level=1)
     with suppress(ClgsError, OSError):
         make_folder(kept.parent)
         atomic_write(kept, buffer.getvalue())

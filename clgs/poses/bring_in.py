@@ -74,9 +74,7 @@ def view_size(width: int) -> int:
 
 def cut(pixels: Pixels) -> Iterator[Pixels]:
     """The views of a photo in the order of DIRECTIONS, bilinear; alpha as color."""
-    channels = pixels.color
-    if pixels.alpha is not None:
-        channels = np.dstack([channels, pixels.alpha])
+    channels = pixels.channels
     height, width = channels.shape[:2]
     around = np.concatenate([channels[:, -1:], channels, channels[:, :1]], axis=1)
     size = view_size(width)
@@ -94,9 +92,7 @@ def cut(pixels: Pixels) -> Iterator[Pixels]:
         corner = corner[0], np.minimum(corner[1], max(height - 2, 0))
         index = corner[1] * np.int32(width + 2) + corner[0]
         weight = np.stack([column - corner[0], row - corner[1]], axis=1).astype(np.float32)
-        view = resample(around, index, weight).reshape(size, size, -1)
-        alpha = None if pixels.alpha is None else np.ascontiguousarray(view[..., 3])
-        yield Pixels(np.ascontiguousarray(view[..., :3]), alpha)
+        yield Pixels.of(resample(around, index, weight).reshape(size, size, -1))
 
 
 LEAST_PHOTOS = 3
@@ -181,9 +177,9 @@ def bring_in(
     """Fill ``work``/images, and ``work``/masks if photos are masked; warn about skipped files.
 
     Photos are whole, upright, 8-bit RGB or grey, with the EXIF data that they had. What an alpha
-    channel hides is black and masked. The mask of the photo NAME is NAME.png, as COLMAP reads it;
-    if one photo has a mask, all have. Photos that say that they are equirectangular are cut into
-    views, and so are all photos and frames if ``equirectangular``.
+    channel hides is black and masked. The mask of the photo NAME is NAME.png. Photos that say that
+    they are equirectangular are cut into views, and so are all photos and frames if
+    ``equirectangular``.
 
     ``work`` is an empty folder. ``on_read`` is called with the number of photos that were read so
     far, or of frames that were written.
@@ -220,11 +216,6 @@ def bring_in(
         _log.warning("%s", line)
     if not any(masks.iterdir()):
         masks.rmdir()
-        return
-    for path in images.iterdir():  # COLMAP skips photos without a mask
-        mask = masks / f"{path.name}.png"
-        if not mask.exists():
-            save_mask(np.ones(image_size(path)[::-1], np.uint8), mask)
 
 
 def _check_enough(found: Collection, least: int = LEAST_PHOTOS) -> None:

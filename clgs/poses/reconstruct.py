@@ -235,7 +235,7 @@ def _write_data_set(workspace: Workspace, model: Any, target: Path, max_size: in
 
 
 def _write_masks(workspace: Workspace, model: Any, masks: Path, target: Path, options: Any) -> None:
-    """Undistort masks as the photos of ``target``/images; photos without a black pixel get none.
+    """Undistort masks as the photos of ``target``/images.
 
     ``model`` has the cameras of the photos as they were taken. ``masks`` holds NAME.png for the
     photo NAME; it may be missing. ``options``: as the photos were undistorted.
@@ -248,8 +248,6 @@ def _write_masks(workspace: Workspace, model: Any, masks: Path, target: Path, op
         if not (file.is_file() and (target / "images" / image.name).is_file()):
             continue
         level = np.asarray(Image.open(file).convert("L"))
-        if level.all():
-            continue
         (target / MASKS).mkdir(exist_ok=True)
         bitmap = pycolmap.Bitmap.from_array(np.ascontiguousarray(level))
         camera = model.cameras[image.camera_id]

@@ -50,8 +50,8 @@ class Workspace:
 
     pycolmap: the module; device: which matches features; images: folder of the photos; folder: for
     all files that are made; names: the photos' file names, in order; cameras: the camera's number
-    of each photo; seed: of all random choices; masks: folder of a mask per photo, None without
-    masks; known: photos with a given pose, by file name, their lenses at the size of the file;
+    of each photo; seed: of all random choices; masks: of those that have one, NAME.png, None
+    without; known: photos with a given pose, by file name, their lenses at the size of the file;
     positions: (3,) metres east, north and up by GPS, by file name; finished: what earlier processes
     made, None if nothing is kept.
     """

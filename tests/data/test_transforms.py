@@ -44,13 +44,8 @@ def test_known_pose(tmp_path):
 
 
 def everything(root: Path) -> list[Photo]:
-    train, test = splits(root)
-    return train + test
-
-
-def splits(root: Path) -> tuple[list[Photo], list[Photo]]:
     photos = read_photo_set(root)
-    return photos.train, photos.test
+    return photos.train + photos.test
 
 
 def test_every_eighth_after_missing_ones_is_held_out(tmp_path):
@@ -198,14 +193,14 @@ def test_angle_gives_focal_length_and_extension_is_found(tmp_path):
     for frame in document["frames"]:
         frame["file_path"] = frame["file_path"].removesuffix(".png")
     save_json(tmp_path, document)
-    lens = splits(tmp_path)[0][0].lens
+    lens = read_photo_set(tmp_path).train[0].lens
     assert (lens.fx, lens.fy) == pytest.approx((40.0, 40.0))
     assert (lens.cx, lens.cy, lens.width, lens.height) == (20.0, 15.0, 40, 30)
 
 
 def test_smaller_images_scale_the_intrinsics(tmp_path):
     write_transforms(tmp_path, 2, w=81, h=61, fl_x=100.0, cx=41.0)
-    lens = splits(tmp_path)[0][0].lens
+    lens = read_photo_set(tmp_path).train[0].lens
     assert (lens.width, lens.height) == (40, 30)
     assert lens.fx == pytest.approx(100.0 * 40 / 81)
     assert lens.cx == pytest.approx(41.0 * 40 / 81)

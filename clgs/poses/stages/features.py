@@ -162,7 +162,7 @@ def find_features(cv2: Any, photo: Path, mask: Path | None, size: int, limit: in
     width, height = grey.size
     small = max(1, round(width * shrink)), max(1, round(height * shrink))
     used = None
-    if mask is not None:
+    if mask is not None and mask.is_file():
         shown = Image.open(mask).convert("L").resize(small, Image.Resampling.NEAREST)
         used = np.asarray(shown)
     searched = np.asarray(grey.resize(small, Image.Resampling.LANCZOS))
