@@ -308,7 +308,7 @@ def _pixels(photo: Photo, size: tuple[int, int], cut_out: bool) -> Pixels:
         used = read_mask(photo.mask, whole) * np.uint8(255)
         alpha = used if pixels.alpha is None else np.minimum(used, pixels.alpha)
         pixels = Pixels(pixels.color, alpha)
-    return box_resized(undistort_pixels(pixels, photo.lens)[0], *size)
+    return box_resized(undistort_pixels(pixels, photo.lens), *size)
 
 
 def _mask_pixels(photo: Photo, size: tuple[int, int]) -> Pixels:
@@ -316,7 +316,7 @@ def _mask_pixels(photo: Photo, size: tuple[int, int]) -> Pixels:
     assert photo.mask is not None
     mask = read_mask(photo.mask, (photo.lens.width, photo.lens.height))
     level = Pixels(mask[..., None] * np.uint8(255), None)
-    return box_resized(undistort_pixels(level, photo.lens)[0], *size)
+    return box_resized(undistort_pixels(level, photo.lens), *size)
 
 
 def _read_images(dataset: Dataset, unread: list[Photo]) -> None:

@@ -195,15 +195,15 @@ def undistort_lens(lens: Lens) -> tuple[Lens, tuple[int, int]]:
     return pinhole, (x0, y0)
 
 
-def undistort_pixels(pixels: Pixels, lens: Lens) -> tuple[Pixels, Lens]:
+def undistort_pixels(pixels: Pixels, lens: Lens) -> Pixels:
     """Bilinear resampling to the pinhole image of ``undistort_lens``; color and alpha alike."""
-    pinhole, _ = undistort_lens(lens)
     if not lens.distorted:
-        return pixels, lens
+        return pixels
+    pinhole, _ = undistort_lens(lens)
     with _one_at_a_time:
         found = sources(lens)
     result = resample(pixels.channels, *found)
-    return Pixels.of(result.reshape(pinhole.height, pinhole.width, -1)), pinhole
+    return Pixels.of(result.reshape(pinhole.height, pinhole.width, -1))
 
 
 @lru_cache(maxsize=2)  # 12 bytes per pixel

@@ -102,10 +102,8 @@ def prepare(
     check_range("max_size", max_size, 0)
     check_range("frames", 1 if frames is None else frames, 1)
     least = LEAST_PHOTOS if continued is None else 1
-    source, output = (
-        find_source(as_path("photos", photos), frames, least),
-        as_path("output", output),
-    )
+    source = find_source(as_path("photos", photos), frames, least)
+    output = as_path("output", output)
     known = Known()
     if poses is not None or continued is not None:
         if source.collection is None:

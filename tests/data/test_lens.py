@@ -74,8 +74,8 @@ def test_undistorted_image_shows_points_where_the_pinhole_projects_them(lens):
         # 20 pixels over the whole range of a byte: a level is less than 0.08 px before rounding.
         phase = values / 40.0 % 1.0
         color = np.rint(np.abs(phase * 2 - 1) * 255).astype(np.uint8)
-        image, found = undistort_pixels(Pixels(np.dstack([color] * 3), None), lens)
-        assert found == pinhole
+        image = undistort_pixels(Pixels(np.dstack([color] * 3), None), lens)
+        assert image.size == (pinhole.width, pinhole.height)
         x, y = np.meshgrid(np.arange(pinhole.width) + 0.5, np.arange(pinhole.height) + 0.5)
         ideal = np.column_stack([(x.ravel() - pinhole.cx), (y.ravel() - pinhole.cy)])
         ideal /= (pinhole.fx, pinhole.fy)
@@ -92,15 +92,15 @@ def test_undistorted_image_shows_points_where_the_pinhole_projects_them(lens):
 def test_plain_lens_is_left_alone():
     lens = Lens(20, 10, 5.0, 5.0, 10.0, 5.0, (0.0, 0.0))
     pixels = Pixels(np.zeros((10, 20, 3), np.uint8), None)
-    image, pinhole = undistort_pixels(pixels, lens)
-    assert image is pixels
-    assert pinhole == lens
+    assert undistort_pixels(pixels, lens) is pixels
+    assert undistort_lens(lens) == (lens, (0, 0))
 
 
 def test_alpha_is_undistorted_too():
     alpha = np.zeros((300, 400), np.uint8)
     alpha[:, :200] = 255
-    image, pinhole = undistort_pixels(Pixels(np.zeros((300, 400, 3), np.uint8), alpha), PHONE)
+    image = undistort_pixels(Pixels(np.zeros((300, 400, 3), np.uint8), alpha), PHONE)
+    pinhole, _ = undistort_lens(PHONE)
     assert image.alpha is not None
     assert image.alpha.shape == (pinhole.height, pinhole.width)
     assert image.alpha[:, 0].min() == 255
