@@ -5,8 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import shutil
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -222,14 +220,22 @@ def _write_data_set(workspace: Workspace, model: Any, target: Path, max_size: in
     (work / "model").mkdir()
     model.write(work / "model")
     made, total = work / "undistorted" / "images", model.num_reg_images()
-    with _files_counted(made, lambda done: workspace.on_progress("undistort", done, total)):
+
+    def count() -> None:  # pycolmap does not report it
+        done = sum(len(names) for _, _, names in os.walk(made))
+        workspace.on_progress("undistort", done, total)
+
+    count()
+    with repeatedly(count, COUNT_SECONDS):
         workspace.pycolmap.undistort_images(
             *(work / "undistorted", work / "model", workspace.images),
             undistort_options=options,
             jpeg_quality=JPEG_QUALITY,
         )
+    count()
     made.rename(target / "images")
-    _write_masks(workspace, model, work / MASKS, target, options)
+    if workspace.masks is not None:
+        _write_masks(workspace, model, workspace.masks, target, options)
     (target / "sparse").mkdir()
     (work / "undistorted" / "sparse").rename(target / "sparse" / "0")
 
@@ -238,12 +244,11 @@ def _write_masks(workspace: Workspace, model: Any, masks: Path, target: Path, op
     """Undistort masks as the photos of ``target``/images.
 
     ``model`` has the cameras of the photos as they were taken. ``masks`` holds NAME.png for the
-    photo NAME; it may be missing. ``options``: as the photos were undistorted.
+    photo NAME. ``options``: as the photos were undistorted.
     """
-    pycolmap, total = workspace.pycolmap, model.num_reg_images() if masks.is_dir() else 0
+    pycolmap, total = workspace.pycolmap, model.num_reg_images()
     for number, image in enumerate(model.images.values(), 1):
-        if total:
-            workspace.on_progress("masks", number, total)
+        workspace.on_progress("masks", number, total)
         file = masks / f"{image.name}.png"
         if not (file.is_file() and (target / "images" / image.name).is_file()):
             continue
@@ -254,19 +259,3 @@ def _write_masks(workspace: Workspace, model: Any, masks: Path, target: Path, op
         undistorted, _ = pycolmap.undistort_image(options, bitmap, camera)
         used = np.asarray(undistorted.to_array()).reshape(undistorted.height, undistorted.width, -1)
         save_mask((used[..., 0] == 255).astype(np.uint8), target / MASKS / f"{image.name}.png")
-
-
-@contextmanager
-def _files_counted(folder: Path, on_count: Callable[[int], None]) -> Iterator[None]:
-    """Call ``on_count`` with the number of files in ``folder`` now and then within the block.
-
-    pycolmap does not report how many photos it has undistorted.
-    """
-
-    def count() -> None:
-        on_count(sum(len(names) for _, _, names in os.walk(folder)))
-
-    on_count(0)
-    with repeatedly(count, COUNT_SECONDS):
-        yield
-    count()
