@@ -95,8 +95,9 @@ def _columns(rows: list[Bytes], fraction: int) -> dict[str, npt.NDArray[Any]]:
     found: dict[str, npt.NDArray[Any]] = {axis: mean[:, i] for i, axis in enumerate("xyz")}
     found |= {f"f_dc_{i}": (color[:, i] - 127.5) / COLOR_SCALE for i in range(3)}
     if len(rows) > 5:
-        coefficients = (rows[5].reshape(count, -1, 3) - SH_STEPS) / SH_STEPS
-        for i, column in enumerate(coefficients.transpose(2, 1, 0).reshape(-1, count)):
+        width = rows[5].shape[1]
+        coefficients = (rows[5].reshape(count, width // 3, 3) - SH_STEPS) / SH_STEPS
+        for i, column in enumerate(coefficients.transpose(2, 1, 0).reshape(width, count)):
             found[f"f_rest_{i}"] = column
     found["opacity"] = logit(opacity[:, 0] / 255.0)
     found |= {f"scale_{i}": scale[:, i] / SCALE_STEPS + SCALE_LEAST for i in range(3)}

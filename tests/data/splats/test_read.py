@@ -107,6 +107,7 @@ def refusal(path, data):
         (lambda inside: inside[:10], "ends in its header"),
         (lambda inside: inside[:-5], "lacks the last of its 500 splats"),
         (lambda inside: inside + b"more", "does not end with its splats"),
+        (lambda inside: inside[:8] + bytes(4) + inside[12:16], "holds no splats that can be drawn"),
     ],
 )
 def test_damaged_spz_is_one_line(tmp_path, change, said):
