@@ -155,7 +155,8 @@ def take_sample(values: Ints) -> Ints:
 def fit(rows: RowChunks, search: bool) -> tuple[Models, int]:
     """The model of ``rows``, and about how many bytes all chunks take.
 
-    ``search``: look for predictions and classes; without it every channel has one table.
+    ``search``: look for predictions and classes; without it every channel that is not sided has
+    one table.
     """
     sample = rows.sample()
     count = len(sample.values)
@@ -168,8 +169,8 @@ def fit(rows: RowChunks, search: bool) -> tuple[Models, int]:
     if search:
         choose_taps(model, sample)
         choose_activity(model, sample)
-        if 0 < rows.step <= MAX_FACTOR // FACTOR and sample.near is not None:
-            choose_sided(model, sample, sample.near, rows.step)
+    if 0 < rows.step <= MAX_FACTOR // FACTOR and sample.near is not None:
+        choose_sided(model, sample, sample.near, rows.step)
     cost = rows.choose(model)
     # clear what no class depends on, so that it costs no bits of the header
     idle = model["classes"] == 1
