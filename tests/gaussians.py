@@ -70,42 +70,24 @@ def projected_scene(
     minor = sigma / ratio ** rng.uniform(size=count)
     angle = rng.uniform(0, np.pi, count)
     opacity = rng.uniform(0.02, 0.9, count)
-    covariance = covariance2d(sigma, minor, angle)
+    c, s = np.cos(angle), np.sin(angle)
+    xx = (sigma * c) ** 2 + (minor * s) ** 2
+    yy = (sigma * s) ** 2 + (minor * c) ** 2
+    xy = (sigma**2 - minor**2) * c * s
+    # y1 = dx r1 and y2 = (dy - l dx) r2 are uncorrelated
+    l_factor = xy / xx
+    whitening = np.stack([1 / np.sqrt(xx), l_factor, 1 / np.sqrt(yy - l_factor * xy)], axis=1)
+    # half-widths of the box outside of which alpha < ALPHA_CUT
+    reach = np.sqrt(2 * np.log(np.maximum(opacity / ALPHA_CUT, 1)))
+    extent = reach[:, None] * np.sqrt(np.stack([xx, yy], axis=1))
     return ProjectedScene(
         mean2d=mean2d.astype(np.float32),
-        whitening=whitening(*covariance),
+        whitening=whitening.astype(np.float32),
         depth=rng.uniform(1, 10, count).astype(np.float32),
-        extent=extent(covariance[0], covariance[2], opacity),
+        extent=extent.astype(np.float32),
         color=rng.uniform(0, 1, (count, 3)).astype(np.float32),
         opacity=opacity.astype(np.float32),
     )
-
-
-def covariance2d(
-    major: npt.NDArray[np.float64], minor: npt.NDArray[np.float64], angle: npt.NDArray[np.float64]
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Cxx, Cxy, Cyy (N,) square pixels of ellipses with the given axes (N,) and angle of major."""
-    c, s = np.cos(angle), np.sin(angle)
-    xx = (major * c) ** 2 + (minor * s) ** 2
-    yy = (major * s) ** 2 + (minor * c) ** 2
-    return xx, (major**2 - minor**2) * c * s, yy
-
-
-def whitening(
-    xx: npt.NDArray[np.float64], xy: npt.NDArray[np.float64], yy: npt.NDArray[np.float64]
-) -> Array:
-    """(N, 3) = r1, l, r2 of covariances: y1 = dx r1, y2 = (dy - l dx) r2 are uncorrelated."""
-    l_factor = xy / xx
-    r2 = 1 / np.sqrt(yy - l_factor * xy)
-    return np.stack([1 / np.sqrt(xx), l_factor, r2], axis=1).astype(np.float32)
-
-
-def extent(
-    xx: npt.NDArray[np.float64], yy: npt.NDArray[np.float64], opacity: npt.NDArray[np.float64]
-) -> Array:
-    """(N, 2) half-widths in pixels of the box outside of which alpha < ALPHA_CUT."""
-    reach = np.sqrt(2 * np.log(np.maximum(opacity / ALPHA_CUT, 1)))
-    return np.asarray(reach[:, None] * np.sqrt(np.stack([xx, yy], axis=1)), np.float32)
 
 
 def gaussian_scene(

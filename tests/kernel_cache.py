@@ -43,14 +43,11 @@ class KernelCache:
         for folder, _, names in os.walk(source):
             for name in names:
                 path = os.path.relpath(os.path.join(folder, name), source)
-                if path not in self._known and is_build(path):
+                # temporary files have other names, or lie further up
+                built = name.endswith((".so", "program.bc", "last_accessed"))
+                if built and path.count(os.sep) >= 2 and path not in self._known:
                     self._known.add(path)
                     add(source / path, target / path)
-
-
-def is_build(path: str) -> bool:
-    """Whether a path below PoCL's folder is part of a build, and none of its temporary files."""
-    return path.endswith((".so", "program.bc", "last_accessed")) and path.count(os.sep) >= 2
 
 
 def add(source: Path, target: Path) -> None:

@@ -24,8 +24,6 @@ def apply(folder: Path) -> None:
         if name in sys.modules:
             raise RuntimeError(f"{name} was imported before its changed copy")
         spec = importlib.util.spec_from_file_location(name, path)
-        assert spec is not None
-        assert spec.loader is not None
         module = importlib.util.module_from_spec(spec)
         sys.modules[name] = module
         spec.loader.exec_module(module)

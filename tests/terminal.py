@@ -1,8 +1,20 @@
-"""Programs that a test starts and interrupts."""
+"""Programs that a test starts, and those that it interrupts."""
 
 from __future__ import annotations
 
+import os
 import signal
+import subprocess
+import sys
+from pathlib import Path
+
+
+def python(
+    *words: object, cwd: Path | None = None, **environment: str
+) -> subprocess.CompletedProcess[str]:
+    """What a Python wrote that was called with these words, and these variables set."""
+    command, more = [sys.executable, *map(str, words)], os.environ | environment
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=cwd, env=more)
 
 
 def as_from_a_terminal() -> None:

@@ -10,6 +10,7 @@ import stat
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -71,10 +72,7 @@ def test_a_writer_that_writes_nothing_is_an_error(tmp_path):
 
 
 def test_a_full_disk_leaves_nothing(tmp_path, monkeypatch):
-    def full(descriptor):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", full)
+    monkeypatch.setattr(os, "fsync", Mock(side_effect=OSError(28, "No space left on device")))
     with pytest.raises(OSError, match="No space left"):
         atomic_write(tmp_path / "x", b"data")
     assert names(tmp_path) == []
@@ -267,13 +265,10 @@ def test_several_files_are_written_or_none(tmp_path, monkeypatch, links, call, n
             raise OSError(28, "No space left on device")
         return whole(*arguments)
 
-    def no_links(*arguments):
-        raise OSError(1, "Operation not permitted")
-
     with monkeypatch.context() as patch:
         patch.setattr(os, call, fail_once)
         if not links:
-            patch.setattr(os, "link", no_links)
+            patch.setattr(os, "link", Mock(side_effect=OSError(1, "Operation not permitted")))
         with pytest.raises(OSError, match="No space left"):
             atomic_write_all(contents)
     assert names(tmp_path) == ["b", "c", "elsewhere"]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
 import sys
 
 import pytest
 
 from clgs.machine import interruptions
+from tests.terminal import python
 
 RESIDENT = """
 from pathlib import Path
@@ -30,10 +30,7 @@ print(before - freed, before - resident())
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="glibc's heap is Linux's")
 def test_pages_between_arrays_in_use_are_given_back():
-    done = subprocess.run(
-        [sys.executable, "-c", RESIDENT], capture_output=True, text=True, check=True
-    )
-    at_once, then = map(int, done.stdout.split())
+    at_once, then = map(int, python("-c", RESIDENT).stdout.split())
     if at_once > 60e6:
         pytest.skip("this C library keeps nothing")
     assert then > 60e6

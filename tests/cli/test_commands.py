@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import subprocess
-import sys
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -17,6 +16,7 @@ from clgs.scene.anchors import take
 from clgs.scene.storage import load_scene, save_scene
 from tests.cli.calls import exit_code
 from tests.small_scene import write_scene
+from tests.terminal import python
 
 STEPS = 220
 """Just enough for one change of the anchors, at step 100, and for quantisation."""
@@ -32,14 +32,6 @@ sys.exit(main.main())
 """The command, but training starts from few points: quick, and learns as well."""
 
 
-def process(*arguments, **environment):
-    """The command in a process of its own."""
-    command = [sys.executable, "-c", FEW_POINTS, *map(str, arguments)]
-    return subprocess.run(
-        command, capture_output=True, text=True, env={**os.environ, **environment}, check=False
-    )
-
-
 def clgs(*arguments):
     """The command in this process, which starts sooner."""
     out, err = io.StringIO(), io.StringIO()
@@ -51,7 +43,9 @@ def clgs(*arguments):
 
 
 def succeed(*arguments, **environment):
-    done = process(*arguments, **environment) if environment else clgs(*arguments)
+    """What the command prints; with variables in a process of its own."""
+    program = ("-c", FEW_POINTS)
+    done = python(*program, *arguments, **environment) if environment else clgs(*arguments)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -119,7 +113,9 @@ def test_hashes_tell_a_difference(run, tmp_path):
 def test_accuracy_is_that_of_the_run_unless_another_is_named(data, tmp_path):
     run = tmp_path / "run"
     said = succeed("train", data, "-o", run, "--steps", 20, "--accuracy", "preview", "--profile")
-    assert_profile(said, run)
+    assert "blend backward" in said
+    profile = json.loads((run / "profile.json").read_text())
+    assert {stage["stage"] for stage in profile["stages"]} >= {"cull", "adam", "loss backward"}
     assert 'accuracy = "preview"' in (run / "config.toml").read_text()
     assert json.loads((run / "hashes.json").read_text())["accuracy"] == "preview"
     assert "all equal" in succeed("eval", run, "--hashes", run / "hashes.json")
@@ -129,13 +125,6 @@ def test_accuracy_is_that_of_the_run_unless_another_is_named(data, tmp_path):
     other = json.loads(succeed("eval", run, "--data", data, "--accuracy", "parity", "--json"))
     assert other["accuracy"] == "parity"
     assert other["psnr"] != scores["psnr"]
-
-
-def assert_profile(said, run):
-    """``clgs train --profile`` tells times."""
-    assert "blend backward" in said
-    profile = json.loads((run / "profile.json").read_text())
-    assert {stage["stage"] for stage in profile["stages"]} >= {"cull", "adam", "loss backward"}
 
 
 @pytest.mark.slow
@@ -193,21 +182,15 @@ def test_run_folder_is_not_overwritten(run, data):
 
 
 def test_an_interrupted_run_says_how_to_go_on(data, tmp_path, monkeypatch):
-    def interrupt(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("clgs.train.run.session.Session.run", interrupt)
+    monkeypatch.setattr("clgs.train.run.session.Session.run", Mock(side_effect=KeyboardInterrupt))
     done = clgs("train", data, "-o", tmp_path / "run", "--steps", 5)
     one_line(done, 130, "clgs: interrupted; repeat the command with --resume to go on")
 
 
 @pytest.mark.slow
 def test_no_device_is_exit_code_4(run, tmp_path):
-    one_line(
-        process("selftest", OCL_ICD_VENDORS=str(tmp_path), PYOPENCL_CTX="no such device"),
-        4,
-        "device",
-    )
+    none = {"OCL_ICD_VENDORS": str(tmp_path), "PYOPENCL_CTX": "no such device"}
+    one_line(python("-m", "clgs", "selftest", **none), 4, "device")
 
 
 @pytest.mark.slow

@@ -36,7 +36,6 @@ def test_nothing_is_cut_on_a_terminal_of_80_columns(monkeypatch, width):
         display(TrainingProgress(Progress(RESULT), 30_000))
         clock.now = 0.1  # seconds: about 10 steps each
         display(TRAINING)
-        assert display._bar is not None
         shown = io.StringIO()
         Console(file=shown, width=width).print(display._bar.make_tasks_table(display._bar.tasks))
         assert display._bar is not None

@@ -43,22 +43,12 @@ def test_sizes():
 
 def test_options_must_fit_each_other(scene, target, refusal):
     for options in (
-        ["--target-psnr", "30"],
-        ["--data", "."],
-        ["--target-size", "10"],
-        ["--mlps", "x.npz"],
-        ["--all-views"],
-        ["--downscale", "2"],
-        ["--target-size", "10k", "--max-size", "60"],
+        *("--target-psnr 30", "--data .", "--target-size 10", "--mlps x.npz", "--all-views"),
+        *("--downscale 2", "--target-size 10k --max-size 60"),
     ):
-        refusal(2, "encode", scene, "-o", target, *options)
-    for options in (
-        ["--target-size", "10k", "--target-psnr", "3"],
-        ["--target-psnr", "nan"],
-        ["--target-size", "much"],
-        ["--q", "1,2,3"],
-    ):
-        assert refusal(2, "encode", scene, "-o", target, *options).startswith("--")
+        refusal(2, "encode", scene, "-o", target, *options.split())
+    for options in ("--target-size 10k --target-psnr 3", "--target-psnr nan", "--q 1,2,3"):
+        assert refusal(2, "encode", scene, "-o", target, *options.split()).startswith("--")
     assert not target.exists()
 
 

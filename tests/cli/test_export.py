@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import replace
 
@@ -18,6 +17,7 @@ from clgs.scene.scene import QuantizedScene, SceneTransform
 from clgs.scene.storage import save_scene
 from tests.codec.scenes import random_scene
 from tests.exports.splats.cases import differences, gaussians
+from tests.exports.test_glb import parse
 from tests.small_scene import write_scene
 
 
@@ -115,8 +115,7 @@ def test_a_scene_without_data_is_baked_and_says_so(work, capsys):
 def test_a_data_set_turns_the_axes_of_splats(work, tmp_path):
     photos = write_scene(tmp_path / "set", train=3, test=1)
     assert cli.main(["export", "splats.ply", "-o", "x.glb", "--data", str(photos)]) == 0
-    data = (work / "x.glb").read_bytes()
-    document = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+    document, _ = parse((work / "x.glb").read_bytes())
     assert document["nodes"][0]["matrix"] == [1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1]
 
 

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from unittest.mock import Mock
 
 import pytest
 
@@ -118,9 +119,7 @@ def test_ignored_signals_do_not_reach_handlers_that_a_compiler_sets():
 
 
 def test_an_interruption_is_not_lost_if_no_thread_starts(write_module, monkeypatch):
-    def fail(*_: object) -> None:
-        raise RuntimeError("can't start new thread")
-
+    fail = Mock(side_effect=RuntimeError("can't start new thread"))
     monkeypatch.setattr("clgs.cli.interruptions._thread.start_new_thread", fail)
     module = write_module(INTERRUPTED.format("SIGINT"))
     with pytest.raises(KeyboardInterrupt):

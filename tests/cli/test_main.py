@@ -11,6 +11,7 @@ import sys
 import types
 from itertools import takewhile
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -18,25 +19,15 @@ from clgs import __version__
 from clgs.cli import main as cli
 from clgs.cli.parser import EXAMPLES
 from clgs.errors import ClgsError, CodecError, DataError, DeviceError
-
-
-def python(*arguments, **options):
-    command = [sys.executable, *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=False, **options)
+from tests.terminal import python
 
 
 @pytest.fixture
 def run_raising(monkeypatch):
     """Call it with an error: the command ``fail`` then raises it; returns main's exit code."""
 
-    def register(parser):
-        pass
-
     def run(error):
-        def fail(args):
-            raise error
-
-        module = types.SimpleNamespace(register=register, run=fail)
+        module = types.SimpleNamespace(register=lambda parser: None, run=Mock(side_effect=error))
         monkeypatch.setitem(sys.modules, "clgs.cli.commands.fail", module)
         monkeypatch.setattr(cli, "COMMANDS", {"fail": "fails"})
         return cli.main(["fail"])
@@ -90,10 +81,7 @@ def test_an_error_is_one_line_and_a_code(run_raising, monkeypatch, capsys, error
 
 @pytest.mark.parametrize("place", ["build_parser", "_run"])
 def test_an_early_interruption_is_one_line(monkeypatch, capsys, place):
-    def interrupt(*arguments):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(cli, place, interrupt)
+    monkeypatch.setattr(cli, place, Mock(side_effect=KeyboardInterrupt))
     assert cli.main(["devices"]) == 130
     assert capsys.readouterr().err == "clgs: interrupted\n"
 
@@ -294,7 +282,7 @@ print([name for name in {heavy} if name in sys.modules], len(sys.modules) < 200)
 
 
 def test_no_device_is_one_line_and_exit_code_4(tmp_path):
-    result = python("-m", "clgs", "devices", env={**os.environ, "PYOPENCL_CTX": "no-such-platform"})
+    result = python("-m", "clgs", "devices", PYOPENCL_CTX="no-such-platform")
     assert result.returncode == 4
     assert result.stderr.count("\n") == 1
     assert "PYOPENCL_CTX=no-such-platform" in result.stderr
@@ -324,10 +312,7 @@ def test_a_lack_of_memory_is_distinguished_from_a_bug(run_raising, monkeypatch, 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", ["encode", "decode", "pack", "unpack"])
 def test_commands_of_the_codec_say_what_needs_less_memory(command, monkeypatch, refusal):
-    def fail(args):
-        raise MemoryError
-
-    monkeypatch.setattr(f"clgs.cli.commands.{command}.run", fail)
+    monkeypatch.setattr(f"clgs.cli.commands.{command}.run", Mock(side_effect=MemoryError))
     said = refusal(1, command, "a", "-o", "b")
     assert said.startswith("out of memory; --threads 1 ")
     shown = python("-m", "clgs", command, "--help")

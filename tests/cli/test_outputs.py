@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import threading
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -164,10 +165,8 @@ def test_what_exists_is_replaced_with_overwrite(work, capsys):
 
 
 def test_an_input_without_permission_is_bad_data(work, refusal, monkeypatch):
-    def refuse(*_, **__):
-        raise PermissionError(13, "Permission denied", "s.clgs")
-
-    monkeypatch.setattr("pathlib.Path.read_bytes", refuse)
+    denied = PermissionError(13, "Permission denied", "s.clgs")
+    monkeypatch.setattr("pathlib.Path.read_bytes", Mock(side_effect=denied))
     assert refusal(3, "info", "s.clgs").startswith("s.clgs: may not be read; give")
 
 

@@ -34,7 +34,6 @@ def test_the_viewer_says_where_it_is_and_ends_when_interrupted(tmp_path):
         socket.create_server(("127.0.0.1", PORT)),
         subprocess.Popen(command, text=True, **pipes) as process,
     ):
-        assert process.stdout is not None
         try:
             address, _, rest = process.stdout.readline().partition("  ")
             assert "Ctrl-C" in rest, process.stderr.read() if process.poll() is not None else ""

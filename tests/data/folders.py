@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +47,13 @@ def noise_image(width: int, height: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 256, (height, width, 3)).astype(np.uint8)
 
 
+def orientation(tag: object) -> Image.Exif:
+    """The metadata of a photo with this EXIF orientation."""
+    exif = Image.Exif()
+    exif[0x0112] = tag
+    return exif
+
+
 def write_noise(
     folder: Path, count: int = 3, size: tuple[int, int] = (8, 6), kind: str = "png"
 ) -> Path:
@@ -75,16 +82,8 @@ def write_transforms(
     """A nerfstudio folder of noise images; returns the JSON document that was written."""
     (root / "images").mkdir(parents=True, exist_ok=True)
     width, height = size
-    document = {
-        "fl_x": 50.0,
-        "fl_y": 50.0,
-        "cx": width / 2,
-        "cy": height / 2,
-        "w": width,
-        "h": height,
-    }
-    document |= shared
-    document["frames"] = []
+    lens = {"fl_x": 50.0, "fl_y": 50.0, "cx": width / 2, "cy": height / 2}
+    document = lens | {"w": width, "h": height} | shared | {"frames": []}
     for number, pose in enumerate(ring(count)):
         name = f"images/{number:03d}.png"
         Image.fromarray(noise_image(width, height, number)).save(root / name)
@@ -97,30 +96,34 @@ def save_json(root: Path, document: object, name: str = "transforms.json") -> No
     (root / name).write_text(json.dumps(document))
 
 
+def move_cameras(file: Path, place: Callable[[np.ndarray], np.ndarray]) -> None:
+    """Put the cameras of a file of transforms elsewhere, each by the place where it is."""
+    document = json.loads(file.read_text())
+    for frame in document["frames"]:
+        pose = np.array(frame["transform_matrix"], np.float64)
+        pose[:3, 3] = place(pose[:3, 3])
+        frame["transform_matrix"] = pose.tolist()
+    save_json(file.parent, document, file.name)
+
+
 def write_blender(root: Path, train: int = 8, test: int = 3, size: int = 40) -> None:
-    """A Synthetic-NeRF folder: a grey ball of radius 0.5 at the origin, RGBA."""
+    """A Synthetic-NeRF folder: a grey ball of radius 0.5 at the origin, RGBA, by ray casting."""
+    grid = (np.arange(size) + 0.5 - size / 2) / size
+    x, y = np.meshgrid(grid, grid)
     for split, count in (("train", train), ("test", test)):
         (root / split).mkdir(parents=True)
         frames = []
         for number, pose in enumerate(ring(count)):
-            ball = ball_image(pose, size, focal=size)
-            Image.fromarray(ball).save(root / split / f"r_{number}.png")
+            rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ pose[:3, :3].T
+            rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+            along = -rays @ pose[:3, 3]
+            nearest = np.linalg.norm(pose[:3, 3] + rays * along[..., None], axis=-1)
+            image = np.full((size, size, 4), 128, np.uint8)
+            image[..., 3] = np.where(nearest < 0.5, 255, 0)
+            Image.fromarray(image).save(root / split / f"r_{number}.png")
             frames.append({"file_path": f"./{split}/r_{number}", "transform_matrix": opengl(pose)})
         document = {"camera_angle_x": 2 * np.arctan(0.5), "frames": frames}
         save_json(root, document, f"transforms_{split}.json")
-
-
-def ball_image(camera_to_world: np.ndarray, size: int, focal: float) -> np.ndarray:
-    """RGBA (size, size, 4) of a grey ball of radius 0.5 at the origin, by ray casting."""
-    grid = (np.arange(size) + 0.5 - size / 2) / focal
-    x, y = np.meshgrid(grid, grid)
-    rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ camera_to_world[:3, :3].T
-    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-    along = -rays @ camera_to_world[:3, 3]
-    nearest = np.linalg.norm(camera_to_world[:3, 3] + rays * along[..., None], axis=-1)
-    image = np.full((size, size, 4), 128, np.uint8)
-    image[..., 3] = np.where(nearest < 0.5, 255, 0)
-    return image
 
 
 def write_colmap(

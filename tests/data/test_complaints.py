@@ -3,30 +3,22 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from clgs.data.complaints import lonely
 
 
-def cluster(rng: np.random.Generator, count: int = 20) -> np.ndarray:
-    return rng.normal(size=(count, 3))
-
-
-def test_a_camera_far_from_all_others_is_lonely(rng):
-    found = lonely(np.vstack([cluster(rng), [[12.0, 0.0, 0.0]]]))
-    assert found[-1]
-    assert not found[:-1].any()
-
-
-def test_who_walks_away_is_not(rng):
-    walk = np.linspace([0.0, 0.0, 0.0], [15.0, 0.0, 0.0], 9)[1:]
-    assert not lonely(np.vstack([cluster(rng), walk])).any()
-
-
-def test_several_that_no_capture_has_are(rng):
-    found = lonely(np.vstack([cluster(rng), [[90.0, 0.0, 0.0], [91.0, 0.0, 0.0]]]))
-    assert found[-2:].all()
-    assert not found[:-2].any()
-
-
-def test_few_cameras_say_nothing(rng):
-    assert not lonely(np.vstack([cluster(rng, 3), [[90.0, 0.0, 0.0]]])).any()
+@pytest.mark.parametrize(
+    ("count", "others", "alone"),
+    [
+        (20, [[12.0, 0.0, 0.0]], True),
+        (20, np.linspace([0.0, 0.0, 0.0], [15.0, 0.0, 0.0], 9)[1:], False),
+        (20, [[90.0, 0.0, 0.0], [91.0, 0.0, 0.0]], True),
+        (3, [[90.0, 0.0, 0.0]], False),
+    ],
+    ids=["one far from all", "who walks away", "several that no capture has", "among few"],
+)
+def test_cameras_far_from_all_others_are_lonely(rng, count, others, alone):
+    found = lonely(np.vstack([rng.normal(size=(count, 3)), others]))
+    assert (found[count:] == alone).all()
+    assert not found[:count].any()

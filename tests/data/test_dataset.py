@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from PIL import Image
 from clgs.data.dataset import MAX_COORDINATE, SCENE_RADIUS, keep_near, load_dataset
 from clgs.errors import DataError
 from tests.data.folders import (
+    move_cameras,
     noise_image,
     opengl,
     project,
@@ -30,11 +30,7 @@ def test_blender_scenes_of_any_size_become_as_large_as_synthetic_ones(tmp_path, 
     folder = write_scene(tmp_path / "data", train=6, test=1)
     usual = load_dataset(folder)
     for file in folder.glob("transforms_*.json"):
-        document = json.loads(file.read_text())
-        for frame in document["frames"]:
-            for row in frame["transform_matrix"][:3]:
-                row[3] *= times
-        file.write_text(json.dumps(document))
+        move_cameras(file, lambda centre: times * centre)
     found, given = load_dataset(folder), load_dataset(folder, preset_units=True)
     assert usual.transform.scale == given.transform.scale == 1.0
     near = 2 / 3 < times < 1.5
@@ -118,24 +114,19 @@ def test_damaged_photos_are_found_before_training(tmp_path):
 
 
 def test_every_photo_of_a_number_is_held_out_unless_the_data_set_says_which(tmp_path):
-    file = tmp_path / "plain" / "transforms.json"
-
-    write_transforms(file.parent, 6)
-
     def held_out(**options: int) -> list[str]:
-        return [view.name[7:10] for view in load_dataset(file.parent, **options).test]
+        return [view.name[7:10] for view in load_dataset(tmp_path / "plain", **options).test]
 
+    write_transforms(tmp_path / "plain", 6)
     assert held_out() == ["000"]
     assert held_out(test_every=3) == ["000", "003"]
-    document = json.loads(file.read_text()) | {"test_filenames": ["images/002.png"]}
-    file.write_text(json.dumps(document))
+    write_transforms(tmp_path / "plain", 6, test_filenames=["images/002.png"])
     assert held_out() == held_out(test_every=3) == ["002"]
     assert held_out(test_every=0) == []
-    single = tmp_path / "single"
-    write_transforms(single, 1)
+    write_transforms(tmp_path / "single", 1)
     with pytest.raises(DataError, match="none is left to train on; --test-every 0 holds none out"):
-        load_dataset(single)
-    assert len(load_dataset(single, test_every=0).train) == 1
+        load_dataset(tmp_path / "single")
+    assert len(load_dataset(tmp_path / "single", test_every=0).train) == 1
 
 
 def test_a_photo_that_vanished_is_not_called_damaged(tmp_path):
@@ -176,9 +167,7 @@ def test_far_points_are_dropped():
 
 
 def test_one_camera_is_enough_for_units(tmp_path):
-    document = write_transforms(tmp_path, 2)
-    document["test_filenames"] = ["images/001.png"]
-    save_json(tmp_path, document)
+    write_transforms(tmp_path, 2, test_filenames=["images/001.png"])
     data = load_dataset(tmp_path, load_images=False)
     assert data.radius == SCENE_RADIUS
     assert data.transform.scale == 1.0
@@ -224,11 +213,8 @@ def test_a_camera_astray_is_named_and_leaves_the_units_alone(tmp_path, caplog, n
 
 
 def test_cameras_in_one_place_are_named(tmp_path, caplog):
-    document = write_transforms(tmp_path)
-    for frame in document["frames"]:
-        for row in frame["transform_matrix"][:3]:
-            row[3] = 0.5
-    save_json(tmp_path, document)
+    write_transforms(tmp_path)
+    move_cameras(tmp_path / "transforms.json", lambda _: np.full(3, 0.5))
     load_dataset(tmp_path, load_images=False)
     said = f"{tmp_path}: all cameras are in one place, so depth cannot be seen; walk, not turn"
     assert [one.getMessage() for one in caplog.records] == [said]

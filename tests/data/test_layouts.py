@@ -161,13 +161,8 @@ def test_spaces_of_other_widths_are_spaces(tmp_path):
 
 MASKS = [
     *("masks/002.png", "masks/002.png.png", "masks/002.jpg", "mask/002.png.jpg"),
-    *(
-        "masks/002_mask.png",
-        "masks/002.png_mask.jpg",
-        "images/masks/002.png",
-        "images/002_mask.png",
-    ),
-    *("images/002.mask.jpg", "masks/002.mask.webp"),
+    *("masks/002_mask.png", "masks/002.png_mask.jpg", "images/masks/002.png"),
+    *("images/002_mask.png", "images/002.mask.jpg", "masks/002.mask.webp"),
     *("Masks/002.png", "MASKS/002.PNG", "images/002_mask.JPG"),
 ]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import struct
 
 import numpy as np
@@ -14,6 +15,7 @@ from clgs.data import points
 from clgs.data.dataset import load_dataset
 from clgs.data.points import SUFFIXES, filled, read_points
 from clgs.errors import DataError
+from tests.data.folders import move_cameras, save_json
 from tests.small_scene import write_scene
 
 SAMPLES = 500
@@ -219,16 +221,13 @@ def test_a_data_set_starts_from_the_file(data, tmp_path):
 
 def test_points_move_with_the_data_set(data, tmp_path):
     """The world of a transforms.json is scaled and recentred, and the points with it."""
+    folder = tmp_path / "moved"
+    shutil.copytree(data / "train", folder / "train")
     text = json.loads((data / "transforms_train.json").read_text())
     for frame in text["frames"]:
-        frame["file_path"] = f"{frame['file_path']}.png"
-        for row in range(3):
-            frame["transform_matrix"][row][3] = 10 * frame["transform_matrix"][row][3] + 5
-    folder = tmp_path / "moved"
-    (folder / "train").mkdir(parents=True)
-    for photo in (data / "train").iterdir():
-        (folder / "train" / photo.name).write_bytes(photo.read_bytes())
-    (folder / "transforms.json").write_text(json.dumps(text))
+        frame["file_path"] += ".png"
+    save_json(folder, text)
+    move_cameras(folder / "transforms.json", lambda centre: 10 * centre + 5)
     world = np.array([[5, 5, 5], [11, 5, 5], [5, 12, 5], [5, 5, 13.0]])
     path = write(tmp_path / "cloud.ply", trimesh.PointCloud(world))
     dataset = load_dataset(folder, points_file=path, point_samples=SAMPLES)

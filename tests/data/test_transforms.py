@@ -74,11 +74,12 @@ def test_every_eighth_after_missing_ones_is_held_out(tmp_path):
     ],
 )
 def test_own_split_is_honoured(tmp_path, caplog, train, test, val, trained, tested, said):
-    document = write_transforms(tmp_path, 6)
-    for key, numbers in (("train", train), ("test", test), ("val", val)):
-        if numbers is not None:
-            document[f"{key}_filenames"] = [f"./images/00{number}.png" for number in numbers]
-    save_json(tmp_path, document)
+    listed = {
+        f"{key}_filenames": [f"./images/00{number}.png" for number in numbers]
+        for key, numbers in (("train", train), ("test", test), ("val", val))
+        if numbers is not None
+    }
+    write_transforms(tmp_path, 6, **listed)
     photos = read_photo_set(tmp_path)
     assert "".join(p.name[-5] for p in photos.train) == trained
     assert "".join(p.name[-5] for p in photos.test) == tested
@@ -87,8 +88,7 @@ def test_own_split_is_honoured(tmp_path, caplog, train, test, val, trained, test
 
 
 def test_a_listed_name_that_no_frame_has_is_told(tmp_path, caplog):
-    document = write_transforms(tmp_path, 6) | {"test_filenames": ["images/001", "nope.jpg"]}
-    save_json(tmp_path, document)
+    write_transforms(tmp_path, 6, test_filenames=["images/001", "nope.jpg"])
     assert [p.name for p in read_photo_set(tmp_path).test] == ["images/001.png"]
     said = f"{tmp_path / 'transforms.json'}: test_filenames: no frame has the name nope.jpg"
     assert [one.getMessage() for one in caplog.records] == [said]
@@ -96,8 +96,7 @@ def test_a_listed_name_that_no_frame_has_is_told(tmp_path, caplog):
 
 @pytest.mark.parametrize("form", ["{}", "{}.PNG", "/home/me/set/images/{}.png", "images\\{}.png"])
 def test_a_list_may_name_its_photos_as_another_machine_does(tmp_path, caplog, form):
-    document = write_transforms(tmp_path, 6)
-    save_json(tmp_path, document | {"train_filenames": [form.format(f"00{n}") for n in (1, 4)]})
+    write_transforms(tmp_path, 6, train_filenames=[form.format(f"00{n}") for n in (1, 4)])
     photos = read_photo_set(tmp_path)
     assert [p.name for p in photos.train] == ["images/001.png", "images/004.png"]
     assert len(photos.test) == 4
@@ -116,8 +115,7 @@ def test_a_list_that_names_no_photo_is_told_and_not_guessed(tmp_path):
 
 
 def test_points_that_the_file_names_are_taken(tmp_path, caplog):
-    document = write_transforms(tmp_path, 6) | {"ply_file_path": "sparse_pc.ply"}
-    save_json(tmp_path, document)
+    document = write_transforms(tmp_path, 6, ply_file_path="sparse_pc.ply")
     assert read_photo_set(tmp_path).points_file is None
     assert "there is no file sparse_pc.ply; points are sought in the photos" in caplog.text
     points = np.random.default_rng(0).uniform(-1, 1, (200, 3))
@@ -186,13 +184,10 @@ def test_no_mask_may_be_null(tmp_path):
 
 
 def test_angle_gives_focal_length_and_extension_is_found(tmp_path):
-    document = write_transforms(tmp_path, 2)
-    for key in ("fl_x", "fl_y", "cx", "cy", "w", "h"):
-        del document[key]
-    document["camera_angle_x"] = 2 * math.atan(0.5)
-    for frame in document["frames"]:
+    frames = write_transforms(tmp_path, 2)["frames"]
+    for frame in frames:
         frame["file_path"] = frame["file_path"].removesuffix(".png")
-    save_json(tmp_path, document)
+    save_json(tmp_path, {"camera_angle_x": 2 * math.atan(0.5), "frames": frames})
     lens = read_photo_set(tmp_path).train[0].lens
     assert (lens.fx, lens.fy) == pytest.approx((40.0, 40.0))
     assert (lens.cx, lens.cy, lens.width, lens.height) == (20.0, 15.0, 40, 30)
@@ -247,11 +242,9 @@ def test_a_focal_length_for_photos_of_no_known_size_is_told(tmp_path, caplog, gi
 
 
 def test_an_angle_tells_the_size_that_a_focal_length_is_for(tmp_path):
-    document = write_transforms(
-        tmp_path, 3, fl_x=500.0, fl_y=500.0, camera_angle_x=2 * math.atan(0.4)
-    )
-    kept = "fl_x", "fl_y", "camera_angle_x", "frames"
-    save_json(tmp_path, {name: document[name] for name in kept})
+    frames = write_transforms(tmp_path, 3)["frames"]
+    angle = 2 * math.atan(0.4)
+    save_json(tmp_path, {"fl_x": 500.0, "fl_y": 500.0, "camera_angle_x": angle, "frames": frames})
     lens = read_photo_set(tmp_path).train[0].lens
     assert (lens.fx, lens.fy) == pytest.approx((50.0, 50.0))
 

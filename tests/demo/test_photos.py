@@ -10,11 +10,6 @@ from clgs.errors import DataError
 WIDTH = 40
 
 
-def pixel_rays(gallery, view):
-    along = view.rays((0.5, 0.5))
-    return along, gallery.trace(np.float32([view.centre] * len(along)), along)
-
-
 def test_views_are_enough_and_close_together():
     taken = list(photos.views(0))
     assert len(taken) >= 40
@@ -34,7 +29,8 @@ def test_seed_decides_the_views():
 
 def test_scene_fills_every_view(gallery):
     for view in photos.views(0, WIDTH):
-        _, hits = pixel_rays(gallery, view)
+        along = view.rays((0.5, 0.5))
+        hits = gallery.trace(np.float32([view.centre] * len(along)), along)
         assert np.all(hits.face >= 0)
 
 

@@ -14,8 +14,10 @@ from clgs.doctor import ERROR, NOTE, WARNING
 from clgs.doctor.dataset import examine
 from clgs.errors import DataError
 from tests.data.folders import (
+    move_cameras,
     noise_image,
     opengl,
+    orientation,
     ring,
     save_json,
     write_blender,
@@ -147,15 +149,13 @@ def test_one_photo_is_an_error(tmp_path):
 
 
 def test_nothing_left_to_train_on_is_an_error(healthy):
-    document = json.loads((healthy / "transforms.json").read_text())
-    names = [frame["file_path"] for frame in document["frames"]]
-    save_json(healthy, document | {"test_filenames": names})
+    names = [f"images/{number:03d}.png" for number in range(24)]
+    write_transforms(healthy, 24, (80, 64), test_filenames=names)
     assert has(levels(healthy)[ERROR], "all photos are held out, none is left to train on")
 
 
 def test_a_fault_that_all_frames_share_is_said_once(healthy):
-    document = json.loads((healthy / "transforms.json").read_text())
-    save_json(healthy, document | {"k1": None})
+    write_transforms(healthy, 24, (80, 64), k1=None)
     (line,) = (line for line in levels(healthy)[ERROR] if "k1" in line)
     assert line.endswith("transforms.json: k1 is not a number")
     change(healthy, 3, k1=None)
@@ -166,11 +166,7 @@ def test_a_fault_that_all_frames_share_is_said_once(healthy):
 
 
 def test_cameras_in_one_place(healthy):
-    document = json.loads((healthy / "transforms.json").read_text())
-    for frame in document["frames"]:
-        for row in frame["transform_matrix"][:3]:
-            row[3] = 0.5
-    save_json(healthy, document)
+    move_cameras(healthy / "transforms.json", lambda _: np.full(3, 0.5))
     assert has(levels(healthy)[WARNING], "all cameras are in one place")
 
 
@@ -185,26 +181,16 @@ def test_exposure_that_jumps(healthy):
 @pytest.mark.parametrize(
     ("tag", "done"), [(3, "taken as stored"), (6, "turned to fit their poses")]
 )
-def test_exif_orientations_are_named(healthy, tag, done):
-    path, exif = healthy / "images" / "001.png", Image.Exif()
-    exif[0x0112] = tag
-    pixels = Image.open(path)
-    (pixels.rotate(90, expand=True) if tag == 6 else pixels).save(path, exif=exif)
+@pytest.mark.parametrize("of", ["photos", "masks"])
+def test_exif_orientations_are_named(healthy, tag, done, of):
+    photo, mask = Image.open(healthy / "images" / "001.png"), Image.new("L", (80, 64), 255)
+    if of == "masks":
+        change(healthy, 1, mask_path="mask.png")
+    path, picture = (healthy / "mask.png", mask) if of == "masks" else (photo.filename, photo)
+    picture = picture.rotate(90, expand=True) if tag == 6 else picture
+    picture.save(path, exif=orientation(tag))
     (note,) = levels(healthy)[NOTE]
-    assert note.startswith("images/001.png: 1 photos have an EXIF orientation")
-    assert note.endswith(done)
-
-
-@pytest.mark.parametrize(
-    ("tag", "done"), [(3, "taken as stored"), (6, "turned to fit their poses")]
-)
-def test_exif_orientations_of_masks_are_named(healthy, tag, done):
-    mask, exif = Image.new("L", (64, 80) if tag == 6 else (80, 64), 255), Image.Exif()
-    exif[0x0112] = tag
-    mask.save(healthy / "mask.png", exif=exif)
-    change(healthy, 1, mask_path="mask.png")
-    (note,) = levels(healthy)[NOTE]
-    assert note.startswith("images/001.png: 1 masks have an EXIF orientation")
+    assert note.startswith(f"images/001.png: 1 {of} have an EXIF orientation")
     assert note.endswith(done)
 
 
@@ -265,8 +251,7 @@ def test_a_damaged_colmap_model(tmp_path):
 
 
 def test_a_damaged_file_of_points(healthy):
-    document = json.loads((healthy / "transforms.json").read_text())
-    save_json(healthy, document | {"ply_file_path": "points.ply"})
+    write_transforms(healthy, 24, (80, 64), ply_file_path="points.ply")
     points = healthy / "points.ply"
     axes = "".join(f"property float {axis}\n" for axis in "xyz")
     points.write_text("ply\nformat ascii 1.0\nelement vertex 9\n")

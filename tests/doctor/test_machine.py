@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from clgs.doctor import ERROR, WARNING, machine
 from clgs.doctor.machine import examine_machine
 from clgs.machine import available_memory
 from clgs.opencl import choose
+from tests.terminal import python
 
 
 @pytest.mark.slow
@@ -26,13 +26,6 @@ def test_a_device_passes_and_the_machine_is_described(output_of, monkeypatch):
     assert {"system", "processor", "memory", "disk", "versions"} == set(document["machine"])
     assert all(one["level"] != ERROR for one in document["findings"])
     assert "checks passed" in output_of("doctor")
-
-
-def run_clgs(*words: str, **variables: str) -> subprocess.CompletedProcess[str]:
-    code = "import sys; from clgs.cli.main import main; sys.exit(main(sys.argv[1:]))"
-    command = [sys.executable, "-c", code, *words]
-    environment = os.environ | variables
-    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
 
 
 @pytest.fixture
@@ -52,12 +45,12 @@ def pocl_alone():
 @pytest.mark.usefixtures("pocl_alone")
 def test_an_unwritable_cache_is_named(tmp_path):
     (tmp_path / "file").touch()
-    done = run_clgs("devices", POCL_CACHE_DIR=str(tmp_path / "file" / "kcache"))
+    done = python("-m", "clgs", "devices", POCL_CACHE_DIR=str(tmp_path / "file" / "kcache"))
     assert done.returncode == 4
     assert len(done.stderr.splitlines()) == 1
     assert "PoCL cannot keep its kernels" in done.stderr
     assert "set POCL_CACHE_DIR" in done.stderr
-    done = run_clgs("doctor", POCL_CACHE_DIR=str(tmp_path / "file" / "kcache"))
+    done = python("-m", "clgs", "doctor", POCL_CACHE_DIR=str(tmp_path / "file" / "kcache"))
     assert done.returncode == 4
     assert "error    OpenCL: PoCL cannot keep its kernels" in done.stdout
 
@@ -65,12 +58,12 @@ def test_an_unwritable_cache_is_named(tmp_path):
 @pytest.mark.slow
 @pytest.mark.usefixtures("pocl_alone")
 def test_drivers_that_are_not_named_or_do_not_load(tmp_path):
-    done = run_clgs("doctor", OCL_ICD_VENDORS=str(tmp_path))
+    done = python("-m", "clgs", "doctor", OCL_ICD_VENDORS=str(tmp_path))
     assert done.returncode == 4
     assert f"{tmp_path} names no driver" in done.stdout
     (tmp_path / "broken.icd").write_text("libnothing.so.1\n")
     (tmp_path / "empty.icd").touch()
-    done = run_clgs("devices", OCL_ICD_VENDORS=str(tmp_path))
+    done = python("-m", "clgs", "devices", OCL_ICD_VENDORS=str(tmp_path))
     assert done.returncode == 4
     assert "broken.icd: libnothing.so.1: libnothing.so.1: cannot open" in done.stderr
     assert "empty.icd" in done.stderr

@@ -23,10 +23,6 @@ RNG = np.random.default_rng(5)
 PICTURE = RNG.integers(0, 256, (5, 7, 3), dtype=np.uint8)
 
 
-def lightness(colors):
-    return colors.astype(float) @ [0.2126, 0.7152, 0.0722]
-
-
 def test_png_keeps_every_pixel(tmp_path):
     save_png(tmp_path / "picture.png", PICTURE)
     with Image.open(tmp_path / "picture.png") as read:
@@ -53,7 +49,8 @@ def test_jpeg_is_close_to_the_picture():
 
 def test_heat_grows_lighter_and_clips():
     ramp = heat(np.linspace(0, 1, 64)[None])
-    assert np.all(np.diff(lightness(ramp)) > 0)
+    lightness = ramp.astype(float) @ [0.2126, 0.7152, 0.0722]
+    assert np.all(np.diff(lightness) > 0)
     assert np.array_equal(heat(np.array([[-3.0, 7.0]])), ramp[:, [0, -1]])
 
 
@@ -135,7 +132,6 @@ def test_frames_come_back(tmp_path):
     assert facts["size"] == (48, 32)
     assert facts["fps"] == 25
     frames = [np.frombuffer(frame, np.uint8).reshape(32, 48, 3) for frame in reader]
-    assert len(frames) == 12
     for mine, theirs in zip(frames, pictures(12), strict=True):
         error = np.mean((mine.astype(float) - theirs) ** 2)
         assert 10 * np.log10(255**2 / error) > 28  # 4:2:0 halves the resolution of color

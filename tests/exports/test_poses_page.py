@@ -18,44 +18,23 @@ from tests.data.folders import ring, write_noise
 NAMES = ["a.jpg", "b & <b>.jpg", "c.jpg"]
 
 
-def photo_set() -> PhotoSet:
-    photos = []
+def test_the_page_tells_all_and_escapes_names(tmp_path: Path):
+    placed = []
     for name, pose in zip(NAMES[:2], ring(2), strict=True):
         inverse = np.linalg.inv(pose)
         lens = Lens(40, 30, 50.0, 50.0, 20.0, 15.0)
-        photos.append(Photo(name, Path(name), lens, inverse[:3, :3], inverse[:3, 3]))
+        placed.append(Photo(name, Path(name), lens, inverse[:3, :3], inverse[:3, 3]))
     points = np.random.default_rng(0).normal(size=(500, 3))
-    return PhotoSet("colmap", photos, [], [], points)
-
-
-def verdict() -> Verdict:
     photos = (
         PhotoVerdict(NAMES[0], GOOD, 900, 0.98, 4.0, 0.5, 3.0, 8.0, 0.02, 0.03),
         PhotoVerdict(NAMES[1], DOUBTFUL, 40, 0.4, reasons=("few <points>",), remedy="more & more"),
         PhotoVerdict(NAMES[2], LEFT_OUT, reasons=("it shares too little",), remedy="remove it"),
     )
-    counts = {"incremental": 12345, "global": 12000}
-    return Verdict(
-        2,
-        3,
-        500,
-        940,
-        0.52,
-        3.7,
-        "incremental",
-        counts,
-        (("c.jpg",),),
-        photos,
-        True,
-        False,
-        0.02,
-        "ok",
-    )
-
-
-def test_the_page_tells_all_and_escapes_names(tmp_path: Path):
+    counts, apart = {"incremental": 12345, "global": 12000}, (("c.jpg",),)
+    figures = 2, 3, 500, 940, 0.52, 3.7, "incremental", counts, apart
+    verdict = Verdict(*figures, photos, True, False, 0.02, "ok")
     files = sorted(write_noise(tmp_path, 3, (64, 48)).iterdir())
-    page = poses_html(photo_set(), verdict(), contact_sheet(files))
+    page = poses_html(PhotoSet("colmap", placed, [], [], points), verdict, contact_sheet(files))
     for text in ("2 / 3", "0.52 px", "12,345", "900 points", "it shares too little", "c.jpg"):
         assert text in page
     assert "<b>" not in page

@@ -14,7 +14,7 @@ from clgs.cli import main as cli
         ("eval s.clgs --data data --inria scores", "scores/results.json"),
         ("eval s.clgs --data data --inria scores", "scores/per_view.json"),
         ("selftest --json there.json", "there.json"),
-        ("conformance -o there.json", "there.json"),
+        *((f"{name} -o there.json", "there.json") for name in ("accept", "conformance")),
         *((f"bench {kind} --json there.json", "there.json") for kind in ("step", "ops", "codec")),
         *((f"bench {kind} -o there.json", "there.json") for kind in ("accuracy", "scaling")),
     ],

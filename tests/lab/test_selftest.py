@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 
@@ -69,11 +70,8 @@ def test_checks_go_on_after_one_that_raises(open_device, monkeypatch):
         raise RuntimeError("CL_OUT_OF_RESOURCES:\n no more")
         yield
 
-    def no_render(device, case):
-        raise ValueError("of no use")
-
     monkeypatch.setattr(training_checks, "check_mask", check_mask)
-    monkeypatch.setattr(render_checks, "_run", no_render)
+    monkeypatch.setattr(render_checks, "_run", Mock(side_effect=ValueError("of no use")))
     found = list(render_checks.selftest(open_device("cpu"), render_checks.TINY))
     wrong = [(one.stage, one.quantity) for one in found if not one.passed]
     assert wrong == [

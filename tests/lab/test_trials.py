@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -35,17 +36,11 @@ def test_what_a_command_says_is_shown(tmp_path):
     assert outcome.printed.startswith("clgs ")
 
 
-def test_failures_are_shown_and_end_alone(tmp_path, monkeypatch):
-    def broken(folder):
-        raise KeyError("step")
-
-    def wrong(folder):
-        raise ClgsError("another file")
-
+def test_failures_are_shown_and_end_alone(tmp_path):
     todo = [
         replace(HELP, name="usage", words=("nonsense",)),
-        replace(HELP, name="unreadable", summary=broken),
-        replace(HELP, name="wrong", summary=wrong),
+        replace(HELP, name="unreadable", summary=Mock(side_effect=KeyError("step"))),
+        replace(HELP, name="wrong", summary=Mock(side_effect=ClgsError("another file"))),
         HELP,
     ]
     outcomes = run_trials(todo, tmp_path, DEVICE, tmp_path / "accept.json")
@@ -105,20 +100,13 @@ def test_the_photos_are_the_same_everywhere(tmp_path):
     assert np.allclose(axes @ axes.transpose(0, 2, 1), np.eye(3))
 
 
-def test_the_file_is_not_replaced_unasked(tmp_path, refusal):
-    (tmp_path / "accept.json").write_text("{}")
-    assert "--overwrite" in refusal(2, "accept", "-o", tmp_path / "accept.json")
-
-
-def test_data_that_cannot_be_trained_on_are_refused_at_once(tmp_path, refusal):
-    words = ["accept", "-o", str(tmp_path / "accept.json"), "--data", str(tmp_path)]
-    assert str(tmp_path) in refusal(3, *words)
-    assert not (tmp_path / "accept.json").exists()
-
-
-def test_unknown_device_is_named(tmp_path, refusal):
-    words = ["accept", "-o", str(tmp_path / "accept.json"), "--device", "nonexistent"]
-    assert "nonexistent" in refusal(4, *words)
+@pytest.mark.parametrize(
+    ("option", "value", "code"), [("--data", "no data", 3), ("--device", "nonexistent", 4)]
+)
+def test_what_cannot_be_used_is_refused_at_once(tmp_path, refusal, option, value, code):
+    (tmp_path / "no data").mkdir()
+    given = tmp_path / value if option == "--data" else value
+    assert str(given) in refusal(code, "accept", "-o", tmp_path / "accept.json", option, given)
     assert not (tmp_path / "accept.json").exists()
 
 

@@ -161,16 +161,9 @@ def test_masks_of_files_and_of_alpha_are_joined(photos: Path, tmp_path: Path, ca
 
 
 def test_cameras_are_told_apart_by_size_model_and_focal_length(tmp_path: Path):
-    paths = []
-    for number, (size, model, focal) in enumerate(
-        [
-            ((8, 6), "A", 26),
-            ((8, 6), "A", 26),
-            ((6, 8), "A", 26),
-            ((8, 6), "B", 26),
-            ((8, 6), "A", 52),
-        ]
-    ):
+    paths, same = [], ((8, 6), "A", 26)
+    others = ((6, 8), "A", 26), ((8, 6), "B", 26), ((8, 6), "A", 52)
+    for number, (size, model, focal) in enumerate([same, same, *others]):
         exif = Image.Exif()
         exif[0x0110], exif.get_ifd(DETAILS)[0xA405] = model, focal
         paths.append(tmp_path / f"{number}.jpg")
@@ -198,7 +191,6 @@ def test_masked_photos_are_posed_and_their_masks_kept(tmp_path: Path):
     data = load_dataset(tmp_path / "data")
     for view in data.train + data.test:
         used = view.used()
-        assert used is not None
         assert used.shape == (view.camera.height, view.camera.width)
         assert not used[-50:].any()
         assert used[20:160, 20:-20].all()

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from clgs.data.images import Pixels
 from clgs.errors import DataError
@@ -39,14 +40,6 @@ def sphere(width: int) -> np.ndarray:
     return np.rint(np.dstack(direction) * 127 + 127).astype(np.uint8)
 
 
-def turned(yaw: float, pitch: float) -> np.ndarray:
-    """Axes right, up, ahead (rows) of a camera that is turned to the right, then up; degrees."""
-    a, b = np.radians([yaw, pitch])
-    ahead = np.array([np.cos(b) * np.sin(a), np.sin(b), np.cos(b) * np.cos(a)])
-    right = np.array([np.cos(a), 0.0, -np.sin(a)])
-    return np.array([right, np.cross(ahead, right), ahead])
-
-
 def test_views_show_the_directions_that_they_are_for():
     width = 512
     views = list(cut(Pixels(sphere(width), None)))
@@ -56,7 +49,9 @@ def test_views_show_the_directions_that_they_are_for():
         assert view.size == (size, size)
         grid = (np.arange(size) + 0.5 - size / 2) / (size / 2)  # tan of half of 90 degrees is 1
         x, y = np.meshgrid(grid, grid)
-        ray = np.stack([x, -y, np.ones_like(x)], axis=-1) @ turned(yaw, pitch)
+        # a camera that is turned to the right, then up
+        turned = Rotation.from_euler("YX", [yaw, -pitch], degrees=True).as_matrix()
+        ray = np.stack([x, -y, np.ones_like(x)], axis=-1) @ turned.T
         ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
         # half a level of rounding in the photo and in the view, and the bend of 127 cos within
         # a pixel of 0.0123 radians: 127 * 0.0123^2 / 8 per axis

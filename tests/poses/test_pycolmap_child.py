@@ -7,11 +7,13 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
 from clgs.errors import DataError
 from clgs.poses.pycolmap_child import CrashError, run_child
+from tests.terminal import python
 
 START = """
 import os, signal
@@ -37,26 +39,17 @@ class logging:
 """
 
 
-def run(folder=None):
-    """The printed lines and the errors of a process that imports pycolmap, from ``folder``."""
-    environment = dict(os.environ)
-    if folder is not None:
-        environment["PYTHONPATH"] = str(folder)
-    done = subprocess.run(
-        [sys.executable, "-c", START], capture_output=True, text=True, check=False, env=environment
-    )
-    return done.stdout.split(), done.stderr
-
-
 def test_a_termination_after_the_import_is_an_interrupt():
     pytest.importorskip("pycolmap")
-    assert run() == (["pycolmap", "interrupted"], "")
+    done = python("-c", START)
+    assert (done.stdout, done.stderr) == ("pycolmap\ninterrupted\n", "")
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 def test_an_interrupt_during_the_import_stays_one(tmp_path, name):
     (tmp_path / "pycolmap.py").write_text(INTERRUPTED.format(name=name))
-    assert run(tmp_path) == (["interrupted"], "")
+    done = python("-c", START, PYTHONPATH=str(tmp_path))
+    assert (done.stdout, done.stderr) == ("interrupted\n", "")
 
 
 @pytest.mark.parametrize(
@@ -71,9 +64,9 @@ def test_an_interrupt_during_the_import_stays_one(tmp_path, name):
 )
 def test_a_pycolmap_that_does_not_load_is_named(tmp_path, text, said):
     (tmp_path / "pycolmap.py").write_text(text)
-    printed, errors = run(tmp_path)
-    assert not printed
-    assert f"DataError: {said}" in errors
+    done = python("-c", START, PYTHONPATH=str(tmp_path))
+    assert not done.stdout
+    assert f"DataError: {said}" in done.stderr
 
 
 MODULE = """
@@ -144,8 +137,6 @@ def test_a_child_leaves_no_file_open(monkeypatch: pytest.MonkeyPatch, capfd):
     with subprocess.Popen(
         [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as child:
-        assert child.stdin is not None
-        assert child.stdout is not None
         child.stdin.write("0\n")
         child.stdin.flush()  # and stays open: the child ends by itself
         assert child.stdout.read() == '["result", 42]\n'
@@ -166,27 +157,18 @@ def ends(process: int) -> bool:
     return False
 
 
-def kill_parent(folder: Path, module: str) -> None:
-    """Kill a process as soon as its child, which runs a module, has reported its file."""
-    command = [sys.executable, "-c", PARENT.format(module=module, folder=str(folder))]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
-        assert parent.stdout is not None
-        assert parent.stdout.readline() == "made\n"
-        parent.kill()
-
-
 @pytest.mark.parametrize("module", ["child_work", "nested"])
 def test_the_process_goes_with_a_killed_parent(folder: Path, module: str):
-    kill_parent(folder, module)
+    command = [sys.executable, "-c", PARENT.format(module=module, folder=str(folder))]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout.readline() == "made\n"  # the child has reported its file
+        parent.kill()
     assert ends(int((folder.parent / "process").read_text()))
 
 
 def test_an_interruption_ends_the_children_of_children(folder: Path):
-    def interrupt(stage: str) -> None:
-        raise KeyboardInterrupt
-
     with pytest.raises(KeyboardInterrupt):
-        run_child("nested", "a test", [str(folder), 3600], interrupt)
+        run_child("nested", "a test", [str(folder), 3600], Mock(side_effect=KeyboardInterrupt))
     assert ends(int((folder.parent / "process").read_text()))
 
 

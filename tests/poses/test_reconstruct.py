@@ -9,6 +9,7 @@ import sys
 import time
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 
@@ -83,18 +84,13 @@ def until_deaf(process, folder):
         time.sleep(0.05)
 
 
-def ended(process):
-    """The rest of its output, once every process that could write to it is gone."""
-    return process.communicate(timeout=HANG)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_a_signal_does_not_wait_for_native_code(start, tmp_path: Path, name: str):
     process = start(DEAF)
     until_deaf(process, tmp_path)
     process.send_signal(getattr(signal, name))
-    out, err = ended(process)
+    out, err = process.communicate(timeout=HANG)  # until no process is left that could write
     assert (out, err.splitlines()[-1]) == ("", "clgs: interrupted")
     assert process.returncode == 130
     assert list((tmp_path / "data").iterdir()) == []
@@ -105,7 +101,7 @@ def test_a_killed_parent_leaves_neither_process_nor_folder(start, tmp_path: Path
     process = start(DEAF)
     until_deaf(process, tmp_path)
     process.kill()
-    assert ended(process)[0] == ""
+    assert process.communicate(timeout=HANG)[0] == ""
     end = time.monotonic() + HANG
     while any((tmp_path / "data").iterdir()) and time.monotonic() < end:
         time.sleep(0.05)  # the guard is yet another process
@@ -115,7 +111,7 @@ def test_a_killed_parent_leaves_neither_process_nor_folder(start, tmp_path: Path
 @pytest.mark.slow
 def test_a_crash_is_one_line(start, tmp_path: Path):
     process = start("os._exit(77)")
-    out, err = ended(process)
+    out, err = process.communicate(timeout=HANG)
     assert (out, process.returncode) == ("", 3)
     said = "clgs: error: structure from motion: pycolmap crashed (exit code 77); try other photos"
     assert err.splitlines()[-1] == said
@@ -125,16 +121,14 @@ def test_a_crash_is_one_line(start, tmp_path: Path):
 @pytest.mark.slow
 def test_a_failure_keeps_its_words(start):
     process = start("raise ValueError('no SIFT today')")
-    _, err = ended(process)
+    _, err = process.communicate(timeout=HANG)
     assert err.splitlines()[-1] == "clgs: error: structure from motion: no SIFT today"
     assert process.returncode == 3
 
 
 def test_a_crash_on_a_full_disk_asks_for_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    def crash(*_):
-        raise DataError("structure from motion: pycolmap crashed (exit code -6); try other photos")
-
-    monkeypatch.setattr(reconstruct, "run_child", crash)
+    crash = DataError("structure from motion: pycolmap crashed (exit code -6); try other photos")
+    monkeypatch.setattr(reconstruct, "run_child", Mock(side_effect=crash))
     arguments = tmp_path, 0, False, 0, None, lambda *_: None, Known(), False, tmp_path
     with pytest.raises(DataError, match="crashed"):
         reconstruct.reconstruct(*arguments)

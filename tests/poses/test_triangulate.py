@@ -27,10 +27,6 @@ def user_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Mon
     return folder / "photos"
 
 
-def no_child(*arguments: object) -> None:
-    pytest.fail("points are searched for")
-
-
 def photos(root: Path) -> list[Photo]:
     return read_photo_set(root).train
 
@@ -70,7 +66,7 @@ def test_another_run_takes_the_points_of_the_first(
     points = room_points(tmp_path / "room", tmp_path / "run")
     (kept,) = user_cache.iterdir()
     with monkeypatch.context() as patched:
-        patched.setattr(module, "run_child", no_child)
+        patched.setattr(module, "run_child", lambda *_: pytest.fail("points are searched for"))
         again = room_points(tmp_path / "room", tmp_path / "other")
         assert np.array_equal(again.position, points.position)
         kept.unlink()  # the other run can go on without it

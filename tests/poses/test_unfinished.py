@@ -57,7 +57,6 @@ def test_a_killed_process_leaves_nothing(tmp_path: Path, other: str):
     command = [sys.executable, "-c", PROCESS, str(folder), other]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as process:
-        assert process.stdout is not None
         assert process.stdout.readline() == "made\n"
         assert (folder / "below" / "file").exists()
         process.kill()
@@ -85,11 +84,9 @@ def test_the_guard_of_a_killed_process_leaves_the_next_one_its_pieces(tmp_path: 
     output, pipe = tmp_path / "data", subprocess.PIPE
     command = [sys.executable, "-c", KEEPS, str(output)]
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as process:
-        assert process.stdout is not None
         assert process.stdout.readline() == "made\n"
         process.kill()
     with kept_pieces(output, "one") as kept:
-        assert kept is not None
         end = time.monotonic() + HANG
         while output.exists() and time.monotonic() < end:  # the guard has begun
             time.sleep(0.01)
@@ -125,7 +122,6 @@ def test_what_a_killed_run_left_is_removed(tmp_path: Path):
 def stop(output: Path, digest: str, error: BaseException, *made: str) -> set[str]:
     """Make folders of pieces, and end by an error; returns the names that were there before."""
     with suppress(type(error)), kept_pieces(output, digest) as kept:
-        assert kept is not None
         found = {path.name for path in kept.iterdir()} - {".owner"}
         with kept_pieces(output, digest) as other:  # of a process that works next to it
             assert other is None

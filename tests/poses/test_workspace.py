@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -68,9 +69,6 @@ def test_one_that_stays_locked_is_an_error(workspace, holder, monkeypatch):
 
 
 def test_other_failures_are_raised_at_once(workspace, monkeypatch):
-    def fail() -> None:
-        raise RuntimeError("no such thing")
-
     monkeypatch.setattr(module.time, "sleep", lambda seconds: pytest.fail("waited"))
     with pytest.raises(RuntimeError, match="no such thing"):
-        workspace.call(fail)
+        workspace.call(Mock(side_effect=RuntimeError("no such thing")))

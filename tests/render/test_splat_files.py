@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from clgs.constants import ALPHA_CUT, ALPHA_MAX, BLUR, NEAR_PLANE, TRANSMITTANCE_STOP
+from clgs.constants import ALPHA_MAX, BLUR, NEAR_PLANE
 from clgs.data.origin import move_camera
 from clgs.data.splats.gaussians import load_splats
-from clgs.data.splats.ply import PlyTable, pack_ply, read_ply
-from clgs.reference import project
-from clgs.reference.general.splats import basis
+from clgs.data.splats.ply import read_ply
+from clgs.reference.general import channels, harmonics, views
 from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
 from clgs.scene.scene import IDENTITY, SceneTransform
-from tests.data.splats.test_gaussians import columns_of
+from tests.data.splats.test_gaussians import columns_of, write
 from tests.ops.cases.project import camera_at
 from tests.ops.cases.splats import stored
 
@@ -25,55 +25,32 @@ CAMERA = camera_at(60.0, 72, 56)
 
 
 def picture(columns, camera, antialiased=False, near=NEAR_PLANE, blur=BLUR):
-    """The picture (3, H, W) of columns as float64 has it, splat after splat in every pixel."""
+    """The picture (3, H, W) of columns as float64 has it, every splat over every pixel."""
     wide = {name: np.asarray(column, np.float64) for name, column in columns.items()}
 
     def stack(*names):
         return np.stack([wide[name] for name in names], axis=1)
 
     mean, scale = stack(*"xyz"), np.exp(stack("scale_0", "scale_1", "scale_2"))
-    rotation = stack("rot_0", "rot_1", "rot_2", "rot_3")
-    rotation /= np.linalg.norm(rotation, axis=1, keepdims=True)
-    view = project.unpack(camera.pack(near))
-    view = replace(view, rotation=camera.rotation, translation=camera.translation)
+    covariance = views.covariances(scale, stack("rot_0", "rot_1", "rot_2", "rot_3"))
     count = sum(name.startswith("f_rest_") for name in wide) // 3
     rest = [stack(*(f"f_rest_{count * c + i}" for c in range(3))) for i in range(count)]
     sh = np.stack([stack("f_dc_0", "f_dc_1", "f_dc_2"), *rest], axis=1)
-    away = mean - camera.centre
-    away /= np.linalg.norm(away, axis=1, keepdims=True)
-    color = np.maximum(0.5 + np.einsum("nci,nc->ni", sh, basis(away, 1 + count)), 0)
+    color = harmonics.forward(mean, sh, camera.centre, math.isqrt(count))
+    lens, size = (
+        views.CameraModel(compensated=antialiased, blur=blur),
+        (camera.width, camera.height),
+    )
     opacity = 1 / (1 + np.exp(-wide["opacity"]))
-    sharp = project.covariance2d(view, mean, scale, rotation) - BLUR * np.eye(2)
-    blurred = sharp + blur * np.eye(2)
-    if antialiased:
-        opacity = opacity * np.sqrt(np.linalg.det(sharp) / np.linalg.det(blurred))
-    inverse = np.linalg.inv(blurred)
-    point = mean @ view.rotation.T + view.translation
-    middle = view.focal * point[:, :2] / point[:, 2:] + view.centre2d
-    y, x = np.mgrid[: camera.height, : camera.width] + 0.5
-    image, left = np.zeros((3, *x.shape)), np.ones_like(x)
-    for n in np.argsort(point[:, 2], kind="stable"):
-        if point[n, 2] <= near:
-            continue
-        dx, dy = x - middle[n, 0], y - middle[n, 1]
-        (a, b), (_, c) = inverse[n]
-        alpha = opacity[n] * np.exp(-0.5 * (a * dx * dx + 2 * b * dx * dy + c * dy * dy))
-        alpha = np.where(alpha < ALPHA_CUT, 0, np.minimum(alpha, ALPHA_MAX))
-        alpha = np.where(left * (1 - alpha) < TRANSMITTANCE_STOP, 0, alpha)
-        image += color[n][:, None, None] * alpha * left
-        left *= 1 - alpha
-    return image
+    projected, opacity = views.forward(mean, covariance, opacity, camera.pack(near), lens)
+    layers = channels.layers(projected, opacity, size, ALPHA_MAX)
+    return channels.forward(layers, color, np.zeros(3), size)[0].transpose(2, 0, 1)
 
 
 def drawn(device, path, camera):
     scene = load_splats(path)
     moved = move_camera(camera, IDENTITY, scene.transform)
     return Renderer(device, scene).render(moved)
-
-
-def write(path, columns, comments=()):
-    path.write_bytes(pack_ply(PlyTable(columns, list(comments))))
-    return path
 
 
 @pytest.fixture
@@ -93,18 +70,13 @@ def test_marks_decide_how_splats_are_drawn(device, tmp_path, small, comment):
     assert np.abs(other - wanted).max() > 20 * LEVEL
 
 
-@pytest.mark.parametrize("kind", ["antialiased_render_mode_mip", "antialiased_1"])
-def test_marked_files_of_others(device, shared_data, kind):
+@pytest.mark.parametrize("kind", ["antialiased_render_mode_mip", "antialiased_1", "opacity_inf"])
+def test_marks_and_opacities_of_one_in_files_of_others(device, shared_data, kind):
     path = shared_data / "cases" / f"{kind}.ply"
-    wanted = picture(read_ply(path).columns, CAMERA, antialiased=True)
-    assert np.abs(drawn(device, path, CAMERA) - wanted).max() <= LEVEL
-
-
-def test_opacities_of_one(device, shared_data):
-    path = shared_data / "cases" / "opacity_inf.ply"
     columns = read_ply(path).columns
-    assert np.isinf(columns["opacity"]).any()
-    assert np.abs(drawn(device, path, CAMERA) - picture(columns, CAMERA)).max() <= LEVEL
+    assert np.isinf(columns["opacity"]).any() == (kind == "opacity_inf")
+    wanted = picture(columns, CAMERA, antialiased=kind != "opacity_inf")
+    assert np.abs(drawn(device, path, CAMERA) - wanted).max() <= LEVEL
 
 
 def test_far_files_of_others_look_as_near_ones(device, shared_data):

@@ -54,13 +54,8 @@ def data(tmp_path_factory):
     return folder
 
 
-@pytest.fixture
-def row():
-    """``row(...)``: what a run's folder would hold, without training."""
-    return make_row
-
-
-def make_row(run, psnr=30.0, size=1000, anchors=10, **other):
+def row(run, psnr=30.0, size=1000, anchors=10, **other):
+    """What a run's folder would hold, without training."""
     return {
         "run": run, "settings": {"seed": 0}, "steps": 60, "protocol": "clgs-1", "views": 3,
         "split": "test", "psnr": psnr, "psnr_channel_mean": psnr + 0.1, "ssim": 0.9,

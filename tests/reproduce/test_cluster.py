@@ -60,12 +60,9 @@ def test_the_run_of_a_killed_worker_goes_on(work, tmp_path):
     assert ended == rows
     assert {message["run"] for message in messages} == set(expected)
     same([run_job(found[0], pytest.fail)], expected)  # read: nothing reports progress
-    first, second = first_steps(messages)
+    # the first step of every leg is the one reported after another stage
+    reported = [(one["doing"] == TRAINING, one["step"]) for one in messages]
+    legs = [step for (before, _), (now, step) in pairwise(reported) if now and not before]
+    first, second = legs
     assert first == 1
     assert second > SAVED  # it did not start again
-
-
-def first_steps(messages):
-    """The first step of every leg: the one reported after another stage."""
-    reported = [(one["doing"] == TRAINING, one["step"]) for one in messages]
-    return [step for (before, _), (now, step) in pairwise(reported) if now and not before]

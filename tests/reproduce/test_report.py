@@ -12,12 +12,13 @@ from reproduce.table import entries, read_table, run_folder
 from reproduce.worker import ROW
 
 from clgs.errors import DataError
+from tests.reproduce.conftest import row
 
 pytest.importorskip("matplotlib")
 
 
 @pytest.fixture
-def stored(table_file, tmp_path, row):
+def stored(table_file, tmp_path):
     """The table and a folder with all of its runs but the ablation's."""
     table = read_table(table_file)
     figures = {

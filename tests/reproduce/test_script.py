@@ -10,7 +10,7 @@ import pytest
 from reproduce.table import entries, read_table, run_folder
 from reproduce.worker import ROW
 
-from tests.reproduce.conftest import SCRIPTS
+from tests.reproduce.conftest import SCRIPTS, row
 
 pytest.importorskip("distributed")
 pytest.importorskip("matplotlib")
@@ -74,7 +74,7 @@ def test_no_scheduler_is_one_line(call, monkeypatch):
     assert lines[-1].startswith("reproduce: error: --scheduler tcp://127.0.0.1:1: no scheduler")
 
 
-def test_finished_runs_are_read_and_reported(call, table_file, tmp_path, row):
+def test_finished_runs_are_read_and_reported(call, table_file, tmp_path):
     for one in entries(read_table(table_file), 20):
         folder = run_folder(tmp_path / "out", one.run)
         folder.mkdir(parents=True, exist_ok=True)

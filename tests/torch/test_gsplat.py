@@ -51,24 +51,8 @@ def compare(given, how, rng, **ours_alone):
     return errors
 
 
-def random_case(rng, number, channels):
-    """Arguments of one of the many combinations."""
-    degree = [None, 0, 1, 2, 3, 4][number % 6] if channels == 3 else None
-    model = ("pinhole", "ortho", "fisheye")[number // 2 % 3]
-    given = scene(rng, int(rng.integers(1, 40)), int(rng.integers(1, 4)), channels, degree, model)
-    if number % 5 == 0:
-        shape = (len(given["viewmats"]), channels if degree is None else 3)
-        given["backgrounds"] = rng.uniform(0, 1, shape).astype(np.float32)
-    how = {
-        "render_mode": MODES[number % 5],
-        "rasterize_mode": ("classic", "antialiased")[number // 3 % 2],
-        "camera_model": model,
-    }
-    return given, how
-
-
 def check(rng, cases):
-    """The scenes beyond LIMIT: (render mode, errors) of each.
+    """Compare scenes of many combinations; those beyond LIMIT: (render mode, errors) of each.
 
     Only expected depths may be: they are quotients. If few Gaussians are in a pixel, a gradient of
     the quotient is the small difference of two large ones, which gsplat's code in float32 misses
@@ -76,10 +60,18 @@ def check(rng, cases):
     """
     beyond = []
     for number, channels in cases:
-        given, how = random_case(rng, number, channels)
+        degree = [None, 0, 1, 2, 3, 4][number % 6] if channels == 3 else None
+        model = ("pinhole", "ortho", "fisheye")[number // 2 % 3]
+        sizes = int(rng.integers(1, 40)), int(rng.integers(1, 4)), channels
+        given, mode = scene(rng, *sizes, degree, model), MODES[number % 5]
+        if number % 5 == 0:
+            shape = (len(given["viewmats"]), channels if degree is None else 3)
+            given["backgrounds"] = rng.uniform(0, 1, shape).astype(np.float32)
+        how = {"render_mode": mode, "camera_model": model}
+        how["rasterize_mode"] = ("classic", "antialiased")[number // 3 % 2]
         errors = compare(given, how, rng)
         if max(errors.values()) > LIMIT:
-            beyond.append((how["render_mode"], errors))
+            beyond.append((mode, errors))
     assert all("ED" in mode for mode, _ in beyond), beyond
     assert all(max(errors["colors"], errors["alphas"]) <= LIMIT for _, errors in beyond), beyond
     assert all(max(errors.values()) <= QUOTIENT_LIMIT for _, errors in beyond), beyond

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install clgs[torch]")
@@ -10,12 +9,9 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip insta
 import clgs.torch as ours  # noqa: E402
 from clgs.torch.tensors import ViewsCall  # noqa: E402
 from tests.render.splat_scene import scene  # noqa: E402
+from tests.torch.test_torch import tensors  # noqa: E402
 
 TRAINED = ("means", "quats", "scales", "opacities", "colors", "viewmats", "backgrounds")
-
-
-def tensors(given):
-    return {n: torch.tensor(v) if isinstance(v, np.ndarray) else v for n, v in given.items()}
 
 
 def leaves(rng, *of_scene, **how):

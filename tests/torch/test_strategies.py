@@ -13,14 +13,12 @@ pytest.importorskip("gsplat", reason="gsplat is not installed: pip install gspla
 import clgs.torch as ours  # noqa: E402
 from clgs.torch.strategies import compute_relocation  # noqa: E402
 from tests.render.splat_scene import scene  # noqa: E402
+from tests.torch.test_torch import tensors  # noqa: E402
 
 
 def train(rng, strategy, steps, after, packed=True, absgrad=False):
     """The parameters after some steps, and the last meta."""
-    given = {
-        name: torch.tensor(value) if isinstance(value, np.ndarray) else value
-        for name, value in scene(rng).items()
-    }
+    given = tensors(scene(rng))
     parameters = torch.nn.ParameterDict(
         {
             "means": given["means"],

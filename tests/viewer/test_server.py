@@ -36,12 +36,8 @@ def server(open_device, rng):
     cameras = ring(6)
     framing = frame_cameras(cameras, frame_scene(random_scene(rng, 20), (80, 60)))
     photos = {"train": [photo_view(camera) for camera in cameras], "test": []}
-    opened = open_server(
-        Shown(live, photos, framing, (0.0, 0.0, 0.0), "anchors", 1_000_000, BOX),
-        "127.0.0.1",
-        18_080,
-        TOKEN,
-    )
+    shown = Shown(live, photos, framing, (0.0, 0.0, 0.0), "anchors", 1_000_000, BOX)
+    opened = open_server(shown, "127.0.0.1", 18_080, TOKEN)
     yield opened
     close_server(opened)
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from clgs.errors import DataError
 from clgs.lab.scenes import anchor_scene
@@ -41,13 +42,9 @@ def device(open_device):
 @pytest.fixture(scope="module")
 def views():
     scene, camera = anchor_scene(400, SIZE, 5)
-    turned = []
-    for angle in np.linspace(-0.2, 0.2, 6):
-        turn = np.array(
-            [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
-        )
-        turned.append(BakeView(replace(camera, rotation=camera.rotation @ turn)))
-    return scene, turned
+    rotations = Rotation.from_euler("y", np.linspace(-0.2, 0.2, 6)[:, None]).as_matrix()
+    cameras = (replace(camera, rotation=camera.rotation @ rotation) for rotation in rotations)
+    return scene, [BakeView(one) for one in cameras]
 
 
 @pytest.mark.slow

@@ -71,16 +71,22 @@ def test_a_trial_finds_the_features_of_photos_that_can_be_read(tmp_path):
 PLANNED = PosesTime(features=20.0, matches=10.0, other=30.0)
 
 
-def news(features: float, matches: float, first: int = 0) -> list[tuple[float, float]]:
-    """What a clock says if these stages of 100 parts take this many seconds, from a part on."""
+def said_of(*steps: tuple[str, int, float]) -> list[tuple[float, float]]:
+    """What a clock says of stages, their parts of 100 that are done, and seconds until the next."""
     now, said, passed = 0.0, list[tuple[float, float]](), list[object]()
     clock = PosesClock(PLANNED, lambda *one: said.append(one), passed.append, clock=lambda: now)
-    for stage, seconds in (("read", 5.0), ("features", features), ("matches", matches)):
-        for done in range(first, 101):
-            clock(StageProgress(stage, done, 100))
-            now += seconds / 100
-    assert len(passed) == 3 * (101 - first)
+    for stage, done, seconds in steps:
+        clock(StageProgress(stage, done, 100))
+        now += seconds
+    assert len(passed) == len(steps)
     return said
+
+
+def news(features: float, matches: float, first: int = 0) -> list[tuple[float, float]]:
+    """What a clock says if these stages of 100 parts take this many seconds, from a part on."""
+    stages = ("read", 5.0), ("features", features), ("matches", matches)
+    parts = range(first, 101)
+    return said_of(*((stage, done, seconds / 100) for stage, seconds in stages for done in parts))
 
 
 def test_what_was_planned_is_no_news():
@@ -102,26 +108,17 @@ def test_slow_matches_are_said_after_fast_features():
 
 
 def test_pairs_that_show_nothing_do_not_count_as_matched():
-    now, said = 0.0, list[tuple[float, float]]()
-    clock = PosesClock(PLANNED, lambda *one: said.append(one), ignore, clock=lambda: now)
-    for stage, done, seconds in (
+    said = said_of(
         *(("features", 0, 10.0), ("features", 50, 10.0), ("features", 100, 0.0)),
         *(("looks", 0, 2.0), ("looks", 100, 0.0)),
         *(("matches", 60, 7.0), ("matches", 70, 0.0)),  # a quarter of those that are left
-    ):
-        clock(StageProgress(stage, done, 100))
-        now += seconds
+    )
     assert said == [(pytest.approx(60.0), pytest.approx(100.0))]  # 20 + 2 + 28, and as much again
 
 
 def test_features_of_an_earlier_call_take_no_time_and_tell_nothing():
-    now, said = 0.0, list[tuple[float, float]]()
-    clock = PosesClock(PLANNED, lambda *one: said.append(one), ignore, clock=lambda: now)
-    clock(StageProgress("features", 100, 100))
-    for done in range(101):
-        clock(StageProgress("matches", done, 100))
-        now += 0.11
-    assert said == []
+    matches = (("matches", done, 0.11) for done in range(101))
+    assert said_of(("features", 100, 0.0), *matches) == []
 
 
 def test_training_is_planned_again_and_shown_at_once():

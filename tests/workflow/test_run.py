@@ -12,7 +12,9 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
+from unittest.mock import Mock
 
+import numpy as np
 import pytest
 from PIL import Image
 
@@ -24,6 +26,7 @@ from clgs.workflow.runs import clocks, stages
 from clgs.workflow.runs.plan import Photos
 from clgs.workflow.runs.record import RunRecord, find_input
 from clgs.workflow.runs.run import run
+from tests.data.folders import move_cameras
 from tests.small_scene import write_scene
 from tests.terminal import as_from_a_terminal
 from tests.workflow.test_run_time import once
@@ -272,12 +275,8 @@ def test_output_of_a_run_is_no_input(finished, tmp_path, refusal):
 def test_scores_need_the_photos_of_the_scene(data, finished, tmp_path, refusal):
     assert cli.main(["eval", str(finished / "run")]) == 0
     wrong = write_scene(tmp_path / "wrong", train=3, test=1)
-    for kind in ("train", "test"):
-        path = wrong / f"transforms_{kind}.json"
-        document = json.loads(path.read_text())
-        for frame in document["frames"]:
-            frame["transform_matrix"][0][3] += 40.0
-        path.write_text(json.dumps(document))
+    for path in wrong.glob("transforms_*.json"):
+        move_cameras(path, lambda centre: centre + np.array([40.0, 0.0, 0.0]))
     said = refusal(3, "eval", finished / "run", "--data", wrong)
     assert "these photos show another scene" in said
     further = ["train", str(wrong), "--from", str(finished / "run"), "-o", str(tmp_path / "new")]
@@ -311,25 +310,19 @@ def test_nothing_to_train_on_is_named(tmp_path, refusal, name):
         (["--set", "steps=2"], "steps: the plan decides it; give --steps"),
         (["--set", "nonsense=2"], "nonsense: no such setting"),
         (["--set", "voxel=-2"], "voxel: -2 is out of range"),
+        (["--resume", "--overwrite"], "give one"),
     ],
 )
-def test_settings_of_the_plan_are_refused(data, tmp_path, more, said, refusal):
+def test_settings_of_the_plan_and_a_contradiction_are_refused(data, tmp_path, more, said, refusal):
     assert said in refusal(2, *words(data, tmp_path / "out", *more))
     assert not (tmp_path / "out").exists()
-
-
-def test_contradiction_is_refused(data, tmp_path, refusal):
-    assert "give one" in refusal(2, *words(data, tmp_path / "out", "--resume", "--overwrite"))
 
 
 @pytest.mark.slow
 def test_a_failing_stage_ends_the_run_and_passes_its_exit_code_on(
     data, tmp_path, monkeypatch, capsys
 ):
-    def fail(*_, **__):
-        raise DataError("the photos are gone")
-
-    monkeypatch.setattr(stages, "train", fail)
+    monkeypatch.setattr(stages, "train", Mock(side_effect=DataError("the photos are gone")))
     assert cli.main(words(data, tmp_path / "out")) == 3
     said = capsys.readouterr()
     assert "[train] clgs train" in said.out
@@ -376,7 +369,6 @@ def test_warning_and_interruption_are_shown_once(tmp_path, instant):
             preexec_fn=as_from_a_terminal,
         ) as process,
     ):
-        assert process.stdout is not None
         for line in process.stdout:
             if line.startswith(instant):
                 break

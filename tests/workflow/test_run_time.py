@@ -7,6 +7,7 @@ import os
 from contextlib import nullcontext
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from clgs.cli import main as cli
@@ -14,6 +15,7 @@ from clgs.cli.options import duration
 from clgs.workflow.runs import clocks, stages
 from clgs.workflow.runs.plan import FRAMES, LEAST_SHARE, Photos, StepSpeed, frames_within
 from clgs.workflow.runs.run import _Planner
+from tests.data.folders import write_video
 from tests.small_scene import write_scene
 
 
@@ -31,12 +33,7 @@ def once(function):
 
 @pytest.mark.slow
 def test_plan_takes_as_many_frames_of_a_video_as_the_time_allows(tmp_path, monkeypatch, capsys):
-    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
-    clip = tmp_path / "clip.mp4"
-    writer = imageio_ffmpeg.write_frames(str(clip), (96, 64), fps=10)
-    writer.send(None)
-    writer.send(bytes(96 * 64 * 3))
-    writer.close()
+    clip = write_video(tmp_path / "clip.mp4", [np.zeros((64, 96, 3), np.uint8)], fps=10)
     monkeypatch.setattr(stages, "synthetic_speed", once(clocks.synthetic_speed))
     for allowed in ("1m", "2h"):
         words = ["run", str(clip), "-o", str(tmp_path / "out"), "--plan", "--time", allowed]

@@ -99,13 +99,8 @@ def earth_centred(place: tuple[float, float, float]) -> np.ndarray:
     """
     latitude, longitude, altitude = np.radians(place[0]), np.radians(place[1]), place[2]
     a, b = 6_378_137.0, 6_356_752.314245179
-    up = np.array(
-        [
-            np.cos(latitude) * np.cos(longitude),
-            np.cos(latitude) * np.sin(longitude),
-            np.sin(latitude),
-        ]
-    )
+    level = np.cos(latitude) * np.array([np.cos(longitude), np.sin(longitude)])
+    up = np.append(level, np.sin(latitude))
     normal = a * a / np.hypot(a * np.cos(latitude), b * np.sin(latitude))
     foot = normal * up * [1, 1, b * b / (a * a)]
     east = np.cross([0.0, 0.0, 1.0], up)

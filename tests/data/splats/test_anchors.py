@@ -31,6 +31,13 @@ def scene(rng):
     return replace(random_scene(rng), scales=scales, transform=transform, settings=settings)
 
 
+@pytest.fixture
+def saved(scene, tmp_path):
+    """The file of the scene as floats."""
+    save_scaffold(tmp_path / "s.ply", scene)
+    return tmp_path / "s.ply"
+
+
 @pytest.mark.parametrize("name", ["scene.ply", "scene.quantized.ply"])
 def test_the_way_and_back_is_exact(scene, tmp_path, name):
     save_scaffold(tmp_path / name, scene)
@@ -85,14 +92,12 @@ def test_layout_is_that_of_the_reference(scene, tmp_path):
     np.testing.assert_array_equal(floats["scale_5"], expected)
 
 
-def test_files_of_others_need_no_comments(scene, tmp_path):
-    path = tmp_path / "s.ply"
-    save_scaffold(path, scene)
-    path.write_bytes(pack_ply(PlyTable(read_ply(path).columns)))
-    found = load_scaffold(path, scales=scene.scales)
+def test_files_of_others_need_no_comments(scene, saved, tmp_path):
+    saved.write_bytes(pack_ply(PlyTable(read_ply(saved).columns)))
+    found = load_scaffold(saved, scales=scene.scales)
     assert_same(found, replace(scene, transform=SceneTransform(), settings=RenderSettings()))
     np.savez(tmp_path / "flat.npz", mlps=scene.mlps.flat)
-    flat = load_scaffold(path, tmp_path / "flat.npz").mlps.flat
+    flat = load_scaffold(saved, tmp_path / "flat.npz").mlps.flat
     np.testing.assert_array_equal(flat, scene.mlps.flat)
 
 
@@ -130,33 +135,28 @@ def test_damaged_anchors_are_refused(scene, tmp_path, name, value, message):
     [("x", "P"), ("f_offset_29", "O"), ("f_anchor_feat_3", "A"), ("scale_5", "S")],
 )
 @pytest.mark.parametrize("value", [-4.5e9, 1e25])
-def test_the_q_that_is_named_in_a_refusal_works(scene, tmp_path, name, letter, value):
-    path, field = tmp_path / "s.ply", dict(P="position", O="offset", A="feature", S="scaling")
-    save_scaffold(path, scene)
-    change(path, name, value)
+def test_the_q_that_is_named_in_a_refusal_works(scene, saved, name, letter, value):
+    field = dict(P="position", O="offset", A="feature", S="scaling")
+    change(saved, name, value)
     with pytest.raises(DataError, match=rf"{name} of row 0 is \S+, beyond int32 at Q") as caught:
-        load_scaffold(path, scales=QuantizationScales(1e3, 1e3, 1e3, 1e3))
+        load_scaffold(saved, scales=QuantizationScales(1e3, 1e3, 1e3, 1e3))
     said = re.search(rf"or give {letter} of --q P,O,A,S as (\S+) or less$", str(caught.value))
-    assert said is not None
-    found = load_scaffold(path, scales=replace(scene.scales, **{field[letter]: float(said[1])}))
+    found = load_scaffold(saved, scales=replace(scene.scales, **{field[letter]: float(said[1])}))
     assert np.ptp(found.anchors.position, axis=0).max() < 2**21
 
 
-def test_a_number_that_no_q_holds(scene, tmp_path):
-    save_scaffold(tmp_path / "s.ply", scene)
-    change(tmp_path / "s.ply", "x", 3e38)
-    with pytest.raises(
-        DataError, match=r"x of row 0 is 3e\+38, beyond int32 at Q .* leave the anch"
-    ):
-        load_scaffold(tmp_path / "s.ply")
+def test_a_number_that_no_q_holds(saved):
+    change(saved, "x", 3e38)
+    said = r"x of row 0 is 3e\+38, beyond int32 at Q .* leave the anch"
+    with pytest.raises(DataError, match=said):
+        load_scaffold(saved)
 
 
 def test_ordinary_splats_are_for_another_command(tmp_path):
     column = np.zeros(2, np.float32)
     (tmp_path / "s.ply").write_bytes(pack_ply(PlyTable({"x": column, "y": column, "z": column})))
-    with pytest.raises(
-        DataError, match=r"f_offset_0 is missing; this is no file of anchors .`clgs pa"
-    ):
+    said = "f_offset_0 is missing; this is no file of anchors .`clgs pa"
+    with pytest.raises(DataError, match=said):
         load_scaffold(tmp_path / "s.ply")
 
 
@@ -171,22 +171,18 @@ def test_ordinary_splats_are_for_another_command(tmp_path):
         (b"transform.scale 0.7", b"transform.scale 1 2"),
     ],
 )
-def test_damaged_comments_are_refused(scene, tmp_path, old, new):
-    path = tmp_path / "s.ply"
-    save_scaffold(path, scene)
-    assert old in path.read_bytes()
-    path.write_bytes(path.read_bytes().replace(old, new))
+def test_damaged_comments_are_refused(saved, old, new):
+    assert old in saved.read_bytes()
+    saved.write_bytes(saved.read_bytes().replace(old, new))
     with pytest.raises(DataError, match=r"s\.ply: "):
-        load_scaffold(path)
+        load_scaffold(saved)
 
 
-def test_comments_of_other_programs_are_passed_over(scene, tmp_path):
-    path = tmp_path / "s.ply"
-    save_scaffold(path, scene)
+def test_comments_of_other_programs_are_passed_over(scene, saved):
     lines = ["clgs", "clgs is great", "clgs 1 2", "clgs scalesx 1", "clgs my.scale 7", "scale 7"]
-    table = read_ply(path)
-    path.write_bytes(pack_ply(PlyTable(table.columns, [*lines, *table.comments, *lines])))
-    assert_same(load_scaffold(path), scene)
+    table = read_ply(saved)
+    saved.write_bytes(pack_ply(PlyTable(table.columns, [*lines, *table.comments, *lines])))
+    assert_same(load_scaffold(saved), scene)
 
 
 def test_q_of_integers_is_what_the_file_says(scene, tmp_path):
@@ -197,9 +193,8 @@ def test_q_of_integers_is_what_the_file_says(scene, tmp_path):
         assert_same(load_scaffold(path, scales=scene.scales), scene)
     other = QuantizationScales(100.0, 1.5, 0.7, 8.0)
     assert load_scaffold(floats, scales=other).scales == other
-    with pytest.raises(
-        UsageError, match=r"s\.quantized\.ply: its integers have Q 333.333,1.5,0.7,8"
-    ):
+    said = r"s\.quantized\.ply: its integers have Q 333.333,1.5,0.7,8"
+    with pytest.raises(UsageError, match=said):
         load_scaffold(integers, scales=other)
     integers.write_bytes(pack_ply(PlyTable(read_ply(integers).columns)))
     found = load_scaffold(integers, scales=other)
@@ -207,9 +202,8 @@ def test_q_of_integers_is_what_the_file_says(scene, tmp_path):
     assert found.scales == other
 
 
-def test_both_files_are_written_or_none(scene, tmp_path, monkeypatch):
-    path, replaced = tmp_path / "s.ply", []
-    save_scaffold(path, scene)
+def test_both_files_are_written_or_none(scene, saved, tmp_path, monkeypatch):
+    replaced = []
     before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
     assert sorted(before) == ["s.mlps.npz", "s.ply"]
     other = replace(scene, mlps=Mlps(scene.mlps.flat + 1), scales=QuantizationScales())
@@ -226,15 +220,15 @@ def test_both_files_are_written_or_none(scene, tmp_path, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(os, "replace", second_fails)
             with pytest.raises(OSError, match="not permitted"):
-                save_scaffold(path, other)
+                save_scaffold(saved, other)
         assert [target.name for target in replaced[:2]] == ["s.mlps.npz", "s.ply"]
         assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == files
         for file in tmp_path.iterdir():
             file.unlink()
-    mlps_path(path).mkdir()
+    mlps_path(saved).mkdir()
     with pytest.raises(OutputError, match="is a folder"):
-        save_scaffold(path, scene)
-    assert list(tmp_path.iterdir()) == [mlps_path(path)]
+        save_scaffold(saved, scene)
+    assert list(tmp_path.iterdir()) == [mlps_path(saved)]
 
 
 def test_other_mlps_are_not_overwritten_unasked(scene, tmp_path):
@@ -264,9 +258,7 @@ def test_the_case_of_the_name_does_not_matter(scene, tmp_path, name):
     assert whole.all() == ("uant" in name)
 
 
-def test_archives_that_are_none_are_told_without_options_of_numpy(scene, tmp_path):
-    path = tmp_path / "s.ply"
-    save_scaffold(path, scene)
+def test_archives_that_are_none_are_told_without_options_of_numpy(scene, saved, tmp_path):
     arrays = {"mlps": np.array([{}, 1], object)}
     np.savez(tmp_path / "objects.npz", **arrays)  # type: ignore[arg-type]
     np.savez(tmp_path / "others.npz", weights=scene.mlps.flat)
@@ -282,21 +274,19 @@ def test_archives_that_are_none_are_told_without_options_of_numpy(scene, tmp_pat
             f"{name}: not an archive of the MLPs ({problem}); save arrays opacity_mlp.0.weight"
         )
         with pytest.raises(DataError, match=re.escape(message)):
-            load_scaffold(path, tmp_path / name)
+            load_scaffold(saved, tmp_path / name)
 
 
-def test_mlps_are_needed_and_checked(scene, tmp_path):
-    path = tmp_path / "s.ply"
-    save_scaffold(path, scene)
-    mlps_path(path).unlink()
+def test_mlps_are_needed_and_checked(saved):
+    mlps_path(saved).unlink()
     with pytest.raises(DataError, match="--mlps"):
-        load_scaffold(path)
-    np.savez(mlps_path(path), **{"opacity_mlp.0.weight": np.zeros((50, 54))})  # type: ignore[arg-type]
+        load_scaffold(saved)
+    np.savez(mlps_path(saved), **{"opacity_mlp.0.weight": np.zeros((50, 54))})  # type: ignore[arg-type]
     with pytest.raises(DataError, match=r"shape \(50, 54\)"):
-        load_scaffold(path)
-    np.savez(mlps_path(path), mlps=np.full(13710, np.nan, np.float32))
+        load_scaffold(saved)
+    np.savez(mlps_path(saved), mlps=np.full(13710, np.nan, np.float32))
     with pytest.raises(DataError, match="not finite"):
-        load_scaffold(path)
-    mlps_path(path).write_bytes(b"\x80\x04K\x01.")  # a pickle
+        load_scaffold(saved)
+    mlps_path(saved).write_bytes(b"\x80\x04K\x01.")  # a pickle
     with pytest.raises(DataError, match="not an archive"):
-        load_scaffold(path)
+        load_scaffold(saved)

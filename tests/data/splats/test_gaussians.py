@@ -24,11 +24,12 @@ def columns_of(gaussians):
             columns[f"f_rest_{channel * higher + c}"] = gaussians.sh[:, 1 + c, channel]
     columns["opacity"] = gaussians.opacity
     columns |= {f"scale_{i}": gaussians.log_scale[:, i] for i in range(3)}
-    return columns | {f"rot_{i}": gaussians.rotation[:, i] for i in range(4)}
+    columns |= {f"rot_{i}": gaussians.rotation[:, i] for i in range(4)}
+    return {name: column.copy() for name, column in columns.items()}
 
 
-def write(path, columns):
-    path.write_bytes(pack_ply(PlyTable(columns)))
+def write(path, columns, comments=()):
+    path.write_bytes(pack_ply(PlyTable(columns, list(comments))))
     return path
 
 
@@ -92,10 +93,7 @@ def test_a_file_without_splats_to_draw_is_one_line(tmp_path, rng, count):
 
 def test_broken_splats_are_left_out_and_counted(tmp_path, rng, caplog):
     columns = columns_of(stored(rng, 10))
-    columns["opacity"] = columns["opacity"].copy()
-    columns["opacity"][4] = np.nan
-    columns["f_rest_9"] = columns["f_rest_9"].copy()
-    columns["f_rest_9"][7] = np.inf
+    columns["opacity"][4], columns["f_rest_9"][7] = np.nan, np.inf
     found = load_splats(write(tmp_path / "s.ply", columns)).gaussians
     assert len(found) == 8
     assert "2 of 10 splats" in caplog.text
@@ -125,9 +123,7 @@ def test_quaternions_of_any_length_are_the_same_rotations(tmp_path, rng, length)
 def test_infinite_opacities_and_scales_have_a_meaning(tmp_path, rng, caplog):
     """An opacity of 1 has the logit +inf; a flat splat has the log scale -inf."""
     columns = columns_of(stored(rng, 10))
-    columns["opacity"][2] = np.inf
-    columns["scale_1"] = columns["scale_1"].copy()
-    columns["scale_1"][3] = -np.inf
+    columns["opacity"][2], columns["scale_1"][3] = np.inf, -np.inf
     path = write(tmp_path / "s.ply", columns)
     found = load_splats(path).gaussians
     assert len(found) == 10
@@ -233,8 +229,7 @@ def test_a_filter_widens_splats_and_keeps_their_light(tmp_path, rng, thickness):
     ],
 )
 def test_marks_of_antialiased_splats(tmp_path, rng, comments, antialiased):
-    path = tmp_path / "s.ply"
-    path.write_bytes(pack_ply(PlyTable(columns_of(stored(rng, 5)), comments)))
+    path = write(tmp_path / "s.ply", columns_of(stored(rng, 5)), comments)
     assert load_splats(path).gaussians.antialiased == antialiased
     path.write_bytes(path.read_bytes().replace(b"\ncomment ", b"\nobj_info "))
     assert load_splats(path).gaussians.antialiased == antialiased
@@ -249,21 +244,17 @@ def test_marks_of_antialiased_splats(tmp_path, rng, comments, antialiased):
 @pytest.mark.parametrize(
     "comment",
     [
-        "antialiasing is good",
-        "trained without mip-splatting",
-        "no-antialiasing=1",
-        "antialiased 0.3",
-        "SplatRenderMode: surfels",
+        *("antialiasing is good", "trained without mip-splatting", "no-antialiasing=1"),
+        *("antialiased 0.3", "SplatRenderMode: surfels"),
     ],
 )
 def test_a_comment_that_may_mean_either_is_told(tmp_path, rng, caplog, comment):
-    path = tmp_path / "s.ply"
     columns = columns_of(stored(rng, 5))
-    path.write_bytes(pack_ply(PlyTable(columns, [comment])))
+    path = write(tmp_path / "s.ply", columns, [comment])
     assert not load_splats(path).gaussians.antialiased
     assert f"s.ply: comment {comment!r}: unclear whether splats are antialiased" in caplog.text
     caplog.clear()
-    path.write_bytes(pack_ply(PlyTable(columns, [comment, "antialiased=1 sh=3"])))
+    write(path, columns, [comment, "antialiased=1 sh=3"])
     assert load_splats(path).gaussians.antialiased
     assert not caplog.text
 

@@ -60,16 +60,15 @@ def as_version_2(data, degree, version=2):
     return gzip.compress(HEAD.pack(head[0], version, *head[2:]) + b"".join(parts))
 
 
-def with_extensions(data):
-    """The same file in version 3 with something behind its splats, as a flag says."""
-    inside = gzip.decompress(data)
-    return gzip.compress(inside[:14] + b"\x02" + inside[15:] + b"\x02\x00\xbe\xad\x04" + bytes(7))
+def loaded(path, data):
+    """The splats of a file of these bytes."""
+    path.write_bytes(data)
+    return load_splats(path).gaussians
 
 
 @pytest.mark.parametrize("degree", range(4))
 @pytest.mark.parametrize("form", ["1", "2", "3", "3 and more", "4", "4 and more", "sog"])
 def test_what_was_written_is_read(tmp_path, degree, form):
-    path = tmp_path / "s.bin"
     encoded = (encode_sog if form == "sog" else encode_spz)(gaussians(degree))
     data = encoded.data
     if form[0] == "4":
@@ -77,9 +76,9 @@ def test_what_was_written_is_read(tmp_path, degree, form):
     elif form in "12":
         data = as_version_2(data, degree, int(form))
     elif form == "3 and more":
-        data = with_extensions(data)
-    path.write_bytes(data)
-    found = load_splats(path).gaussians
+        inside, more = gzip.decompress(data), b"\x02\x00\xbe\xad\x04" + bytes(7)  # as a flag says
+        data = gzip.compress(inside[:14] + b"\x02" + inside[15:] + more)
+    found = loaded(tmp_path / "s.bin", data)
     assert found.degree == degree
     apart = differences(found, encoded.gaussians)
     assert apart.pop("rotation") <= (0.01 if form in "12" else 1e-6)
@@ -90,9 +89,8 @@ def test_what_was_written_is_read(tmp_path, degree, form):
 
 def refusal(path, data):
     """What is said of a file of these bytes: one line."""
-    path.write_bytes(data)
     with pytest.raises(DataError, match=r"^[^\n]*s\.spz: [^\n]*$") as caught:
-        load_splats(path)
+        loaded(path, data)
     return str(caught.value)
 
 
@@ -171,11 +169,8 @@ def as_version_1(meta):
 @pytest.mark.parametrize("degree", [0, 1, 3])
 def test_sog_of_version_1_has_even_steps(tmp_path, degree):
     data = encode_sog(gaussians(degree)).data
-    path = tmp_path / "s.sog"
-    path.write_bytes(zipped(unzipped(data, as_version_1)))
-    old = load_splats(path).gaussians
-    path.write_bytes(data)
-    new = load_splats(path).gaussians
+    old = loaded(tmp_path / "s.sog", zipped(unzipped(data, as_version_1)))
+    new = loaded(tmp_path / "s.sog", data)
     assert old.degree == degree
     assert np.array_equal(old.mean, new.mean)
     assert np.array_equal(old.rotation, new.rotation)
@@ -233,9 +228,8 @@ def test_an_image_that_unpacks_to_gigabytes_is_refused(tmp_path):
     files, out = unzipped(encode_sog(gaussians(0)).data), io.BytesIO()
     Image.new("RGBA", (4096, 4096)).save(out, "WEBP", lossless=True, quality=0, method=0)
     files["scales.webp"] = out.getvalue()
-    (tmp_path / "s.sog").write_bytes(zipped(files))
     with pytest.raises(DataError, match=r"scales\.webp in a \.sog file is 4096x4096, too large"):
-        load_splats(tmp_path / "s.sog")
+        loaded(tmp_path / "s.sog", zipped(files))
 
 
 @pytest.mark.slow
@@ -296,33 +290,29 @@ def chunked(degree, colors, count=300):
 def test_chunks_of_splats_are_read(tmp_path, degree, colors):
     path = tmp_path / "s.compressed.ply"
     data, wanted = chunked(degree, colors)
-    path.write_bytes(data)
-    found = load_splats(path).gaussians
+    found = loaded(path, data)
     assert (len(found), found.degree, found.antialiased) == (300, degree, True)
     assert np.allclose(found.mean, np.stack([wanted[name] for name in "xyz"], 1), atol=1e-5)
     assert np.allclose(found.log_scale[:, 1], wanted["scale_1"], atol=1e-5)
     assert np.allclose(found.sh[:, 0, 0], wanted["f_dc_0"], atol=1e-4)
     assert np.allclose(np.linalg.norm(found.rotation, axis=1), 1, atol=0.6)
     for old, new in ((b"chunk 2", b"chunk 1"), (b"uint packed_scale", b"int packed_scale")):
-        path.write_bytes(data.replace(old, new))
         with pytest.raises(DataError, match=r"^[^\n]*compressed\.ply: [^\n]*$"):
-            load_splats(path)
+            loaded(path, data.replace(old, new))
 
 
 @pytest.mark.parametrize("encode", [encode_ply, encode_spz, encode_sog])
 def test_marks_are_kept_by_every_format(tmp_path, encode):
-    path = tmp_path / "s.bin"
-    path.write_bytes(encode(replace(gaussians(), antialiased=True)).data)
-    assert load_splats(path).gaussians.antialiased
+    data = encode(replace(gaussians(), antialiased=True)).data
+    assert loaded(tmp_path / "s.bin", data).antialiased
 
 
 def test_an_element_before_the_splats_is_skipped(tmp_path):
     data = encode_ply(gaussians()).data
     before = b"element camera 1\nproperty list uchar float pose\nelement vertex"
     head, end, body = data.replace(b"element vertex", before, 1).partition(b"end_header\n")
-    path = tmp_path / "s.ply"
-    path.write_bytes(head + end + b"\x02" + bytes(8) + body)
-    assert max(differences(load_splats(path).gaussians, gaussians()).values()) < 1e-6
+    found = loaded(tmp_path / "s.ply", head + end + b"\x02" + bytes(8) + body)
+    assert max(differences(found, gaussians()).values()) < 1e-6
 
 
 def test_points_keep_their_colors(tmp_path):

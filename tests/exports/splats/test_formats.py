@@ -22,6 +22,7 @@ from clgs.exports.splats.sog import encode_sog
 from clgs.exports.splats.spz import encode_spz
 from clgs.scene.scene import SceneTransform
 from tests.exports.splats.cases import differences, gaussians
+from tests.exports.test_glb import parse
 
 ENCODERS = (encode_ply, encode_spz, encode_sog, encode_glb)
 
@@ -64,9 +65,8 @@ def test_spz_header_size_and_rounding(degree):
 def test_spz_refuses_coordinates_without_room():
     far = gaussians()
     far.mean[3, 1] = 5e6
-    with pytest.raises(
-        DataError, match=r"5e\+06: too large for \.spz; write \.ply, or give --units scene"
-    ):
+    said = r"5e\+06: too large for \.spz; write \.ply, or give --units scene"
+    with pytest.raises(DataError, match=said):
         encode_spz(far)
 
 
@@ -175,11 +175,7 @@ def test_palettes_hold_repeated_sets_exactly():
 def test_glb_is_what_its_specification_says():
     before = gaussians()
     turn = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
-    data = encode_glb(before, turn=turn).data
-    magic, version, length = struct.unpack("<4sII", data[:12])
-    assert (magic, version, length) == (b"glTF", 2, len(data))
-    size = struct.unpack("<I", data[12:16])[0]
-    document, binary = json.loads(data[20 : 20 + size]), data[28 + size :]
+    document, binary = parse(encode_glb(before, turn=turn).data)
     primitive = document["meshes"][0]["primitives"][0]
     assert primitive["mode"] == 0
     assert primitive["extensions"][EXTENSION]["colorSpace"] == "srgb_rec709_display"
@@ -228,9 +224,7 @@ def test_units_of_the_world(tmp_path, encode, place):
 
 def test_glb_puts_far_splats_in_their_place():
     turn = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
-    data = encode_glb(gaussians(), SceneTransform((5e5, 5.4e5, 120.0)), turn).data
-    size = struct.unpack("<I", data[12:16])[0]
-    document = json.loads(data[20 : 20 + size])
+    document, _ = parse(encode_glb(gaussians(), SceneTransform((5e5, 5.4e5, 120.0)), turn).data)
     matrix = np.reshape(document["nodes"][0]["matrix"], (4, 4)).T
     assert np.array_equal(matrix[:3, :3], turn)
     assert np.allclose(turn.T @ matrix[:3, 3], [5e5, 5.4e5, 120.0], atol=1)

@@ -18,6 +18,7 @@ from clgs.exports.glb import EXTENSION, encode_glb
 from clgs.exports.splats.ply import encode_ply
 from clgs.exports.splats.sog import encode_sog
 from clgs.exports.splats.spz import encode_spz
+from clgs.reference.general.views import covariances
 from clgs.render.renderer import Renderer
 from clgs.scene.gaussians import OrdinaryGaussians
 from clgs.scene.scene import SplatScene
@@ -56,14 +57,6 @@ def run(*words: object) -> str:
     return done.stdout
 
 
-@pytest.fixture(params=(".ply", ".spz", ".sog"))
-def exported(request, tmp_path):
-    encoded = ENCODERS[request.param](gaussians())
-    path = tmp_path / f"scene{request.param}"
-    path.write_bytes(encoded.data)
-    return path, encoded.gaussians
-
-
 @pytest.mark.parametrize("degree", range(4))
 @pytest.mark.parametrize("suffix", ENCODERS)
 def test_gsply_reads_the_same(tmp_path, suffix, degree):
@@ -78,9 +71,12 @@ def test_gsply_reads_the_same(tmp_path, suffix, degree):
     assert max(differences(found, encoded.gaussians).values()) <= TOLERANCE
 
 
-def test_splat_transform_reads_the_same_and_it_is_drawn_alike(exported, tmp_path, device):
+@pytest.mark.parametrize("suffix", ENCODERS)
+def test_splat_transform_reads_the_same_and_it_is_drawn_alike(tmp_path, suffix, device):
     program = installed("node_modules/@playcanvas/splat-transform/bin/cli.mjs")
-    path, stored = exported
+    encoded = ENCODERS[suffix](gaussians())
+    path, stored = tmp_path / f"scene{suffix}", encoded.gaussians
+    path.write_bytes(encoded.data)
     run("node", program, path, tmp_path / "again.ply")
     found = load_splats(tmp_path / "again.ply").gaussians
     assert max(differences(found, stored).values()) <= TOLERANCE
@@ -101,21 +97,13 @@ def test_three_and_the_validator_open_glb(tmp_path):
     assert np.allclose(np.reshape(three["matrix"], (4, 4)).T[:3, :3], turn)
     assert [f"sphericalHarmonics{degree}" for degree in (1, 2, 3)] == three["names"][3:]
     assert np.array_equal(np.float32(three["position"]).reshape(-1, 3), before.mean)
-    unit = before.rotation / np.linalg.norm(before.rotation, axis=1, keepdims=True)
-    whole = covariances(unit.astype(np.float64), np.exp(before.log_scale.astype(np.float64)))
+    scale, rotation = np.exp(before.log_scale.astype(float)), before.rotation.astype(float)
+    whole = covariances(scale, rotation)[:, *np.triu_indices(3)]
     assert np.allclose(np.reshape(three["covariance"], (-1, 6)), whole, rtol=1e-4, atol=1e-7)
     color = 255 * (0.5 + 0.28209479 * before.sh[:, 0])
     shown = np.reshape(three["color"], (-1, 4))[:, :3]
     assert np.abs(shown - np.clip(color, 0, 255)).max() <= 0.51
     assert not [one for one in found["validator"]["messages"] if not expected(one)]
-
-
-def covariances(unit: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Upper triangles (N, 6)."""
-    from clgs.reference.project import rotation_matrix
-
-    axes = rotation_matrix(unit) * scale[:, None, :]
-    return (axes @ axes.transpose(0, 2, 1))[:, *np.triu_indices(3)]
 
 
 def expected(message: dict) -> bool:

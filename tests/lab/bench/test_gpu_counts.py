@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import sys
 from pathlib import Path
 from subprocess import run
@@ -84,17 +85,7 @@ __kernel void missing(__global const float *x, __global float *y)
     y[i] = (float)(popcount(word) + abs((int)word) + (int)rotate(word, 3u) + (int)clz(word));
 }
 """
-KERNELS = [
-    "alternating",
-    "negated",
-    "coalesced",
-    "strided",
-    "vectors",
-    "shared",
-    "counting",
-    "divergent",
-    "missing",
-]
+KERNELS = re.findall(r"__kernel void (\w+)", PROGRAM)
 
 DRIVER = """
 import sys

@@ -24,7 +24,6 @@ def test_formulas_by_hand():
 
 def test_the_nearer_limit_binds():
     share = share_of_limit("blend forward", COUNTS, 1.0, DeviceLimits(1e9, 1e9))
-    assert share is not None
     assert share.of_limit == pytest.approx(0.72)
     assert share.bound == "FMA"
     assert share_of_limit("blend forward", COUNTS, 1.0, DeviceLimits(1e6, 1e9)).bound == "copy"
