@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -69,7 +68,10 @@ def test_figures_need_a_file_of_their_own(tmp_path, monkeypatch, refusal, kind, 
     ("error", "code"), [(MemoryError("1 TiB"), 1), (NoRoomError("no room for 1 TiB"), 4)]
 )
 def test_remedies_are_options_of_the_benchmark(monkeypatch, refusal, output_of, kind, error, code):
-    monkeypatch.setattr(f"clgs.lab.bench.{kind}.run", Mock(side_effect=error))
+    def fail():  # its arguments are read: the command gives it those that it names
+        raise error
+
+    monkeypatch.setattr(f"clgs.lab.bench.{kind}.run", fail)
     said = refusal(code, "bench", kind)
     options = [word.strip(",;.\n") for word in said.split() if word.startswith("--")]
     assert options
