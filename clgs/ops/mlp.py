@@ -210,6 +210,7 @@ def backward(
     inputs: Inputs,
     activations: Activations,
     d_output: DeviceArray,
+    by_weights: bool = True,
 ) -> MlpGradients:
     """Gradients by weights and features; anchors do not move while training.
 
@@ -219,6 +220,7 @@ def backward(
         activations: what :func:`forward` returned.
         d_output: (110, Vp) float32, gradient by the activated outputs; that of a slot that is not
             drawn counts as zero.
+        by_weights: whether the gradient by the weights is wanted; if not, it is left out, as 0.
 
     Raises:
         ValueError, TypeError: an array has the wrong shape or dtype.
@@ -228,11 +230,11 @@ def backward(
     shapes.check("output", activations.output, f"{OUTPUT_DIM} P", np.float32)
     shapes.check("d_output", d_output, f"{OUTPUT_DIM} P", np.float32)
     result = MlpGradients(
-        d_weights=device.empty((MLP_SIZE,)),
+        d_weights=device.empty((MLP_SIZE,)) if by_weights else device.zeros((MLP_SIZE,)),
         d_feature=device.zeros(anchors.feature.shape),
     )
     parts = min(-(-activations.output.shape[1] // BATCH), PARTS)
-    partial = device.zeros((parts, _part_size(device)))
+    partial = device.zeros((parts, _part_size(device) if by_weights else 1))
     layers: dict[str, Argument] = {
         **_layer_arguments(inputs, activations.visible, activations.output),
         "output": activations.output,
@@ -242,6 +244,7 @@ def backward(
     written: dict[str, Argument] = {"d_feature": result.d_feature}
     macros = defines(device, activations.options)
     if device.specialisation == "cpu":
+        macros["BY_WEIGHTS"] = int(by_weights)
         workers = min(WORKERS * int(device.cl_device.max_compute_units), parts)
         device.run(
             device.kernel("mlp/backward", "mlp_backward", **macros),
@@ -253,7 +256,10 @@ def backward(
             partial=partial,
         )
     else:
-        _backward_in_groups(device, activations.output.shape[1], layers, written, partial, macros)
+        sums = partial if by_weights else None
+        _backward_in_groups(device, activations.output.shape[1], layers, written, sums, macros)
+    if not by_weights:
+        return result
     form = device.specialisation  # a work-item per sum, on a CPU per register tile
     each = 1 if form == "gpu" else WEIGHT_ROWS[form] * COLUMNS[form]
     device.run(
@@ -293,10 +299,10 @@ def _backward_in_groups(
     padded: int,
     layers: dict[str, Argument],
     written: dict[str, Argument],
-    partial: DeviceArray,
+    partial: DeviceArray | None,
     macros: dict[str, int | float],
 ) -> None:
-    """Fill ``written`` and ``partial``, SLAB batches at a time."""
+    """Fill ``written`` and, if it is there, ``partial``, SLAB batches at a time."""
     batches = -(-padded // BATCH)
     values = device.empty((min(SLAB, batches), _batch_size(device)))
     not_read = "feature", "position", "camera", "output", "d_output"
@@ -320,6 +326,8 @@ def _backward_in_groups(
             **batch,
             **written,
         )
+        if partial is None:
+            continue
         device.run(
             device.kernel("mlp/backward", "mlp_backward_weights", **macros),
             (_row_tiles(device) * GROUP_SIZE, size),

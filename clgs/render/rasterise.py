@@ -161,6 +161,7 @@ def rasterise_backward(
     frame: Frame,
     d_image: DeviceArray,
     volume_weight: float = 0.0,
+    by_weights: bool = True,
 ) -> SceneGradients: ...
 
 
@@ -180,11 +181,13 @@ def rasterise_backward(
     frame: RenderedView,
     d_image: DeviceArray,
     volume_weight: float = 0.0,
+    by_weights: bool = True,
 ) -> SceneGradients | StoredGradients:
     """Gradients of ``sum(d_image * image) + volume_weight * mean(prod(scale))``.
 
     ``frame`` is what :func:`rasterise` made of ``scene``; ``d_image``: (3, H, W) float32. The mean
-    is over all Gaussians of the frame.
+    is over all Gaussians of the frame. Without ``by_weights`` the gradient by the weights of the
+    MLPs is left out, as 0, which is faster.
 
     Raises:
         ValueError: the frame does not keep what this needs, or is not of ``scene``.
@@ -213,7 +216,7 @@ def rasterise_backward(
         )
     with device.stage("mlp backward"):
         inputs = mlp.Inputs(scene.anchors, scene.weights, camera)
-        d_mlp = mlp.backward(device, inputs, frame.activations, d_neural.d_output)
+        d_mlp = mlp.backward(device, inputs, frame.activations, d_neural.d_output, by_weights)
     return SceneGradients(
         d_offset=d_neural.d_offset,
         d_feature=d_mlp.d_feature,

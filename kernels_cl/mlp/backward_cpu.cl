@@ -16,6 +16,11 @@
 #include "mlp/slots.h"
 #include "mlp/weight_tile.h"
 
+/* Whether the weight gradient is wanted; if not, `partial` is not written. */
+#ifndef BY_WEIGHTS
+#define BY_WEIGHTS 1
+#endif
+
 /* Vectors of samples that add something to a tile: those of the blocks that draw one of its slots.
  */
 static inline Runs drawing_vectors(const WeightTile *tile, const int *slots, const int blocks)
@@ -63,7 +68,8 @@ static inline void batch_backward(const Inputs *inputs, __global const float *we
         for (int block = 0; block < blocks; ++block)
             block_backward(inputs, weights, outputs, head, (size_t)(batch * BATCH + block * BLOCK),
                            slots[block], slots[block + 1], values + block * BLOCK, d_feature);
-        add_weights(values, head, slots, blocks, part);
+        if (BY_WEIGHTS)
+            add_weights(values, head, slots, blocks, part);
     }
 }
 

@@ -29,7 +29,7 @@ MODULES += [f"ops/{path}" for path in op_paths(ROOT).values()]
 
 VARYING = {
     *("VEC", "USE_LOCAL", "USE_PREFETCH"),  # the form, and the driver
-    *("WIDTH", "COEFFICIENTS", "MIN_EXTENT"),  # of arrays and calls
+    *("WIDTH", "COEFFICIENTS", "MIN_EXTENT", "BY_WEIGHTS"),  # of arrays and calls
     *("CHANNELS", "WITH_DEPTH", "WITH_ABSOLUTE", "SH_ROWS", "BARE_SUMS"),
     *("PARALLEL_RAYS", "FISHEYE", "BY_COVARIANCE", "COMPENSATED"),
     "TILES_AT_ONCE",  # of the width of registers

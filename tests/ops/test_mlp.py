@@ -36,14 +36,14 @@ def run_forward(device, values, visible, options=DEFAULT):
     return mlp.forward(device, mlp_inputs(device, values), device.upload(visible), options)
 
 
-def run_backward(device, values, visible, d_of_anchor, options=DEFAULT):
+def run_backward(device, values, visible, d_of_anchor, options=DEFAULT, by_weights=True):
     """Downloads of the gradients; d_of_anchor (A, 110) by the anchors' outputs."""
     activations = run_forward(device, values, visible, options)
     columns = device.download(activations.visible)
     d_output = np.full(activations.output.shape, 7, np.float32)
     d_output[:, : len(columns)] = np.where(columns >= 0, d_of_anchor[columns].T, 7)
     inputs, d_output = mlp_inputs(device, values), device.upload(d_output)
-    result = mlp.backward(device, inputs, activations, d_output)
+    result = mlp.backward(device, inputs, activations, d_output, by_weights)
     return {name: device.download(array) for name, array in vars(result).items()}
 
 
@@ -110,6 +110,15 @@ def test_forward_agrees_with_reference(device, rng, count):
     _, terms = term_sums(values, expected)
     limit = 2 * EPSILON * terms + 4 * EPSILON
     assert_close(output[:, :count][rows], expected.output[rows], limit[rows], "output")
+
+
+def test_without_gradient_by_weights_the_others_are_the_same(device, rng):
+    values, visible = anchors(rng, 3000), some(rng, 1025, 3000)
+    arguments = device, values, visible, random_gradients(rng, 3000)
+    both, alone = run_backward(*arguments), run_backward(*arguments, by_weights=False)
+    assert both["d_weights"].any()
+    assert not alone["d_weights"].any()
+    assert np.array_equal(alone["d_feature"], both["d_feature"])
 
 
 def test_samples_are_sorted_by_drawn_slots(device, rng):

@@ -90,7 +90,7 @@ def sensitivity(
     curvature = {name: device.zeros(size) for name, size in sizes.items() if curved}
     for frame, signs in _looks(device, scene, settings, cameras, options, used):
         if curved:
-            gradients = rasterise_backward(device, scene, frame, signs)
+            gradients = rasterise_backward(device, scene, frame, signs, by_weights=False)
             for name, total in curvature.items():
                 density.add_curvature(device, total, getattr(gradients, f"d_{name}"))
             d_opacity = gradients.d_projected.d_opacity
@@ -122,7 +122,7 @@ def feature_products(
     features = scene.anchors.feature.shape[1]
     products = np.zeros((features, features))
     for frame, signs in _looks(device, scene, settings, cameras, options, used):
-        gradients = rasterise_backward(device, scene, frame, signs)
+        gradients = rasterise_backward(device, scene, frame, signs, by_weights=False)
         d_feature = device.download(gradients.d_feature).astype(np.float64)
         products += d_feature.T @ d_feature
         del frame, signs, gradients  # before the next ones are made

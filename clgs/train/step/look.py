@@ -203,6 +203,7 @@ class Looks:
         self.exposure = ExposureTerm(device, config, len(dataset.train))
         self.stop = adam.stop_flag(device)
         self.options = config.render_options()
+        self._mlps_learn = config.learning_box is None
 
     def enqueue(
         self,
@@ -228,7 +229,7 @@ class Looks:
         frame = rasterise(device, scene, target.view, self.options, room)
         totals = check_room(device, frame, self.stop)
         compared, d_image = self._compare(frame, maps, target, view.index)
-        gradients = rasterise_backward(device, scene, frame, d_image, weight)
+        gradients = rasterise_backward(device, scene, frame, d_image, weight, self._mlps_learn)
         return Look(
             gradients=gradients,
             loss=compared.value_later(device),
