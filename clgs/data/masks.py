@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -74,7 +75,11 @@ def find_mask(root: Path, photos: Path, name: str) -> Path | None:
         for suffix in MASK_SUFFIXES
         for each in names
     ]
-    return next((path for path in paths if path.is_file()), None)
+    for path in paths:
+        with suppress(OSError):  # a name of a photo that leaves no room for a mark
+            if path.is_file():
+                return path
+    return None
 
 
 def mask_folders(root: Path, photos: Path) -> list[Path]:

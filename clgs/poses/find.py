@@ -101,7 +101,7 @@ def find_photos(folder: Path) -> Collection:
     taken: set[str] = set()
     for path in _without_copies(photos, collection):
         collection.photos.append(Found(path, new_name(files[path], taken), masks[path]))
-    used = {found.mask for found in collection.photos}
+    used = {path for found in collection.photos for path in (found.path, found.mask)}
     collection.skipped += [
         (path.relative_to(folder).as_posix(), "masks of no photo")
         for path in list_masks(folder, collection.root)

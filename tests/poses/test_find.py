@@ -109,6 +109,15 @@ def test_names_of_any_script_stay_and_hostile_ones_are_made_safe(tmp_path: Path)
     assert all(one.name.encode() for one in find_photos(tmp_path).photos)
 
 
+def test_names_that_leave_no_room_for_a_mask_or_end_as_one(tmp_path: Path):
+    names = [f"{'x' * 246}.jpg", "a_mask.jpg", "b.mask.jpg"]
+    for seed, name in enumerate(names):
+        write(tmp_path / name, seed)
+    found = find_photos(tmp_path)
+    assert sorted(one.path.name for one in found.photos) == sorted(names)
+    assert found.skipped == []
+
+
 def test_masks_are_found_by_either_name(tmp_path: Path):
     for seed, name in enumerate(["a.jpg", "b.jpg", "left/c.jpg", "d.jpg"]):
         write(tmp_path / name, seed)
