@@ -200,7 +200,7 @@ def bring_in(
                 "needed; record a longer one"
             )
         for frame in sorted(folder.iterdir()) if equirectangular else ():
-            _write_views(Found(frame, frame.name), images, masks)
+            _write_views(Found(frame, frame.name, frame.name), images, masks)
             frame.unlink()
         return
     masks.mkdir()

@@ -36,10 +36,14 @@ _UNSAFE = re.compile(r"[^\w.+=@()\[\] -]|[\ud800-\udfff]")
 
 @dataclass(frozen=True)
 class Found:
-    """A photo: its file, its name in the data set to be made, the file of its mask if any."""
+    """A photo: its file, its name in the data set to be made, the file of its mask if any.
+
+    below: the path below the folder of photos that it comes from.
+    """
 
     path: Path
     name: str
+    below: str
     mask: Path | None = None
 
 
@@ -59,13 +63,17 @@ class Collection:
         """One line for each reason that files were skipped for, with the first of their names."""
         reasons: dict[str, list[str]] = {}
         for name, reason in self.skipped:
-            shown = name[-80:] if name.isprintable() else repr(name[-80:])
-            reasons.setdefault(reason, []).append(shown)
+            reasons.setdefault(reason, []).append(shown(name))
         return [
             f"{self.root}: skipped {len(names)}, {reason}: {', '.join(names[:NAMED])}"
             + ", ..." * (len(names) > NAMED)
             for reason, names in reasons.items()
         ]
+
+
+def shown(name: str) -> str:
+    """The end of a file's name, as it can be printed."""
+    return name[-80:] if name.isprintable() else repr(name[-80:])
 
 
 def is_video(path: Path) -> bool:
@@ -98,9 +106,10 @@ def find_photos(folder: Path) -> Collection:
     files = {path: path.relative_to(collection.root).as_posix() for path in _files(collection)}
     masks = {path: find_mask(folder, collection.root, below) for path, below in files.items()}
     photos = [path for path in files if path not in set(masks.values())]
-    taken: set[str] = set()
-    for path in _without_copies(photos, collection):
-        collection.photos.append(Found(path, new_name(files[path], taken), masks[path]))
+    kept, names, taken = _without_copies(photos, collection), dict[Path, str](), set[str]()
+    for path in sorted(kept, key=lambda path: files[path] != _plain(files[path])):
+        names[path] = new_name(files[path], taken)  # first those that can keep theirs
+    collection.photos = [Found(path, names[path], files[path], masks[path]) for path in kept]
     used = {path for found in collection.photos for path in (found.path, found.mask)}
     collection.skipped += [
         (path.relative_to(folder).as_posix(), "masks of no photo")
@@ -176,7 +185,7 @@ def new_name(below: str, taken: set[str]) -> str:
 
     ``below``: the path below the folder of photos; ``taken``: lower stems, to which it is added.
     """
-    plain = _UNSAFE.sub("_", below.replace("/", "_"))[-NAME_LENGTH:].lstrip(". ") or "photo.jpg"
+    plain = _plain(below)
     stem, dot, suffix = plain.rpartition(".")
     number, name = 1, plain
     while name.rpartition(".")[0].lower() in taken:
@@ -184,3 +193,8 @@ def new_name(below: str, taken: set[str]) -> str:
         name = f"{stem}-{number}{dot}{suffix}"
     taken.add(name.rpartition(".")[0].lower())
     return name
+
+
+def _plain(below: str) -> str:
+    """The part of a name that the data set keeps."""
+    return _UNSAFE.sub("_", below.replace("/", "_"))[-NAME_LENGTH:].lstrip(". ") or "photo.jpg"

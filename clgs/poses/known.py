@@ -7,7 +7,7 @@ matches contradict them, they are not used.
 from __future__ import annotations
 
 import logging
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -24,6 +24,7 @@ from clgs.data.programs import FILES
 from clgs.errors import DataError
 from clgs.poses.evidence import Evidence, Poses, angle, common_similarity, differences, poses_of
 from clgs.poses.find import Collection, Found, new_name
+from clgs.poses.same_photos import match_photos, read_sources, stem_of
 from clgs.poses.workspace import Workspace
 from clgs.scene.world import EARTH, LOCAL, MAP, NOWHERE, Place
 
@@ -88,35 +89,40 @@ class Known:
 def read_known(source: Path, found: Collection) -> Known:
     """Read the poses that a data set of any program, or one of its files, has for found photos.
 
-    A photo is the same file, or has the only file of the same name without folder and suffix.
+    :func:`clgs.poses.same_photos.match_photos` says which photo is which.
 
     Raises:
         DataError: no data set, a damaged one, or one of other photos.
     """
     given = _read_set(source, found.root)
     posed = given.train + given.test
-    by_path = {photo.path.resolve(): photo for photo in posed}
-    stems = Counter(_stem(photo.path) for photo in posed)
-    by_stem = {_stem(one.path): one for one in posed if stems[_stem(one.path)] == 1}
-    photos = {}
-    for one in found.photos:
-        photo = by_path.get(one.path.resolve()) or by_stem.get(_stem(one.path))
-        if photo is not None:
-            photos[Path(one.name).stem] = photo
+    same, unsure = match_photos(found.photos, posed, read_sources(_folder_of(source)))
+    photos = {Path(found.photos[file].name).stem: posed[photo] for photo, file in same.items()}
+    several = sorted(posed[number].name for number in unsure)
     if not photos:
         raise DataError(
             f"{source}: none of its {len(posed)} photos is in {found.root}; name the poses of "
             "these photos"
         )
-    own = {_stem(one.path) for one in found.photos}
-    lost = [photo.name for photo in posed if _stem(photo.path) not in own] + given.missing
-    if lost:
-        more = ", ..." * (len(lost) > NAMED)
+    lost = [one.name for n, one in enumerate(posed) if n not in same and n not in unsure]
+    if lost := sorted(lost + given.missing):
         _log.warning(
-            "%s: %s lacks %d of its photos: %s",
-            *(source, found.root, len(lost), ", ".join(sorted(lost)[:NAMED]) + more),
+            "%s: %s lacks %d of its photos: %s", *(source, found.root, len(lost), _some(lost))
+        )
+    if several:
+        _log.warning(
+            "%s: %d of its photos may be several of %s, and their poses are not used: %s",
+            *(source, len(several), found.root, _some(several)),
         )
     return Known(str(source), photos, given.kind, given.frame, given.place)
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:NAMED]) + ", ..." * (len(names) > NAMED)
+
+
+def _folder_of(source: Path) -> Path:
+    return source.parent if source.is_file() else source
 
 
 def _read_set(source: Path, photos: Path) -> PhotoSet:
@@ -125,15 +131,11 @@ def _read_set(source: Path, photos: Path) -> PhotoSet:
         raise DataError(f"{source}: no such file or folder; check the path")
     read = FILES.get(source.suffix.lower()) if source.is_file() else None
     if read is None:
-        return read_photo_set(source.parent if source.is_file() else source)
+        return read_photo_set(_folder_of(source))
     try:
         return read(photos, source)
     except DataError:
         return read(source.parent, source)
-
-
-def _stem(path: Path) -> str:
-    return path.stem.casefold()
 
 
 def add_photos(source: Path, found: Collection) -> None:
@@ -148,13 +150,18 @@ def add_photos(source: Path, found: Collection) -> None:
     if not found.photos:
         raise DataError(f"{found.root}: has no photo that {source} lacks; add some")
     new = {
-        stem: one.path for one in found.photos for stem in (_stem(one.path), _stem(Path(one.name)))
+        stem: one.path
+        for one in found.photos
+        for stem in (stem_of(one.path), stem_of(Path(one.name)))
     }
     taken = {Path(one.name).stem.lower() for one in found.photos}
+    sources = read_sources(source)
     for photo in sorted(given.train + given.test, key=lambda one: one.name):
-        if (other := new.get(_stem(photo.path))) is not None:
+        if (other := new.get(stem_of(photo.path))) is not None:
             raise DataError(f"{other}: {source} has a photo of this name; rename the new one")
-        found.photos.append(Found(photo.path, new_name(photo.path.name, taken), photo.mask))
+        name = new_name(photo.path.name, taken)
+        below = sources.get(photo.path.stem, photo.path.name)
+        found.photos.append(Found(photo.path, name, below, photo.mask))
 
 
 def fitting(known: Known, files: Sequence[Path]) -> tuple[dict[str, Photo], list[str]]:
@@ -278,18 +285,18 @@ def _geometries(
     with workspace.open() as database:
         names = {n: database.read_image(n).name for n in workspace.ids(database)}
         cameras = {n: database.read_camera(database.read_image(n).camera_id) for n in names}
-        for pair in evidence.strongest(1)[:ASKED]:
+        known = {n: workspace.known[name] for n, name in names.items() if name in workspace.known}
+        # the best match of a photo may well be a new one
+        pairs = [one for one in evidence.pairs if one.first in known and one.second in known]
+        for pair in replace(evidence, pairs=pairs).strongest(1)[:ASKED]:
             both = pair.first, pair.second
-            first, second = (workspace.known.get(names[number]) for number in both)
-            if first is None or second is None:
-                continue
             geometry = database.read_two_view_geometry(*both)
             points = [evidence.keypoints[number] for number in both]
             if workspace.pycolmap.estimate_two_view_geometry_pose(
                 *(cameras[both[0]], points[0], cameras[both[1]], points[1]), geometry
             ):
                 found.append(geometry.cam2_from_cam1)
-                given.append((first, second))
+                given.append((known[both[0]], known[both[1]]))
                 apart.append(np.degrees(geometry.tri_angle))
     return found, given, apart
 

@@ -7,7 +7,7 @@ import json
 import logging
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from PIL import Image
@@ -19,9 +19,11 @@ from clgs.errors import DataError, ExistsError, OutputError, is_full
 from clgs.files import atomic_folder, check_folder
 from clgs.poses.bring_in import LEAST_PHOTOS, bring_in, find_source
 from clgs.poses.drop import drop_doubtful as drop_doubtful_photos
+from clgs.poses.find import NAMED, Collection, shown
 from clgs.poses.known import Known, add_photos, read_known
 from clgs.poses.pycolmap_child import SEEDS
 from clgs.poses.reconstruct import reconstruct
+from clgs.poses.same_photos import REPORT
 from clgs.poses.unfinished import (
     Finished,
     digest_of,
@@ -30,12 +32,11 @@ from clgs.poses.unfinished import (
     remove_leftovers,
     removed_if_killed,
 )
-from clgs.poses.verdict import Verdict
+from clgs.poses.verdict import PhotoVerdict, Verdict
 from clgs.poses.workspace import OnProgress
 
 _log = logging.getLogger(__name__)
 
-REPORT = "report.json"
 CONTACT_SHEET = "contact_sheet.jpg"
 """All photos of the verdict, in its order; see :func:`contact_sheet`."""
 
@@ -139,6 +140,7 @@ def prepare(
                 )
                 if drop_doubtful:
                     verdict = drop_doubtful_photos(target, verdict)
+                verdict = _with_sources(verdict, source.collection)
                 names = [work / "images" / one.name for one in verdict.photos]
                 sheet = contact_sheet(names, lambda done: on_progress("report", done, len(names)))
                 (target / CONTACT_SHEET).write_bytes(sheet)
@@ -153,6 +155,26 @@ def prepare(
             raise OSError(error.errno, error.strerror, str(output)) from error
         problem = error.strerror or str(error)
         raise DataError(f"{error.filename or output}: {problem}") from error
+
+
+def _with_sources(verdict: Verdict, found: Collection | None) -> Verdict:
+    """Say in a verdict what photos were called, and in a note that some have other names now."""
+    below = {Path(one.name).stem: one.below for one in found.photos} if found else {}
+    photos = list[PhotoVerdict]()
+    for one in verdict.photos:
+        source = below.get(Path(one.name).stem, one.name)
+        photos.append(one if source == one.name else replace(one, source=source))
+    renamed = [
+        f"{shown(one.source)} is {shown(one.name)}"
+        for one in photos
+        if one.source and Path(one.source).with_suffix("") != Path(one.name).with_suffix("")
+    ]
+    notes = verdict.notes
+    if renamed:
+        plural = "photos have other names" if len(renamed) > 1 else "photo has another name"
+        more = ", ..." * (len(renamed) > NAMED)
+        notes += (f"{len(renamed)} {plural} in the data set: {', '.join(renamed[:NAMED])}{more}",)
+    return replace(verdict, photos=tuple(photos), notes=notes)
 
 
 def _check_replaceable(output: Path, photos: list[Path]) -> None:

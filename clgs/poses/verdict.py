@@ -17,7 +17,8 @@ class PhotoVerdict:
     of its matches in links (``evidence.LINKS``) that the poses explain; track_length: mean number
     of photos that see its points; error: mean reprojection error, pixels; tilt: degrees from the
     median up-vector; step: degrees from its neighbours by name, the nearer of both; turn, shift:
-    degrees by which a second reconstruction differs; reasons and remedy: of a doubt, else empty.
+    degrees by which a second reconstruction differs; reasons and remedy: of a doubt, else empty;
+    source: path below the folder of photos, if the photo has another name there.
     """
 
     name: str
@@ -32,6 +33,7 @@ class PhotoVerdict:
     shift: float | None = None
     reasons: tuple[str, ...] = ()
     remedy: str = ""
+    source: str = ""
 
 
 @dataclass(frozen=True)

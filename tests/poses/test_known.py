@@ -132,6 +132,18 @@ def test_a_data_set_grows(tmp_path: Path):
     assert prepare(tmp_path / "one", tmp_path / "six", quick=True, continued=old).registered == 6
 
 
+@pytest.mark.slow
+def test_a_data_set_grows_between_its_photos(tmp_path: Path):
+    """Each old photo matches a new one better than any other old one."""
+    write_room_photos(tmp_path / "old", 9)
+    (tmp_path / "new").mkdir()
+    for number in range(1, 9, 2):
+        (tmp_path / "old" / f"{number}.png").rename(tmp_path / "new" / f"{number}.png")
+    prepare(tmp_path / "old", tmp_path / "data", quick=True)
+    verdict = prepare(tmp_path / "new", tmp_path / "all", quick=True, continued=tmp_path / "data")
+    assert (verdict.registered, verdict.mapper) == (9, "given poses")
+
+
 def test_poses_of_other_photos_are_refused_in_a_line(tmp_path: Path):
     write_known(tmp_path / "capture", 4, opengl)
     photos = write_noise(tmp_path / "others", 4)

@@ -96,6 +96,7 @@ def run(args: argparse.Namespace) -> int:
 
 def show(made: PreparedData) -> None:
     """Print the verdict."""
+    from clgs.poses.find import shown
     from clgs.poses.verdict import DOUBTFUL, LEFT_OUT
 
     verdict = made.verdict
@@ -109,8 +110,7 @@ def show(made: PreparedData) -> None:
         print(note)
     doubted = [*verdict.of(LEFT_OUT), *verdict.of(DOUBTFUL)]
     for photo in doubted[:NAMED]:
-        name = photo.name if photo.name.isprintable() else repr(photo.name)
-        print(f"  {name}: {photo.status}: {'; '.join(photo.reasons)}; {photo.remedy}")
+        print(f"  {shown(photo.name)}: {photo.status}: {'; '.join(photo.reasons)}; {photo.remedy}")
     if len(doubted) > NAMED:
         print(f"  and {len(doubted) - NAMED} more")
     print(made.page)
