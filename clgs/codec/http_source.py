@@ -5,7 +5,6 @@ from __future__ import annotations
 import http.client
 import re
 import threading
-from collections.abc import Iterator
 from urllib.parse import quote, urlsplit
 
 from clgs.errors import DataError
@@ -15,6 +14,9 @@ FRONT = 1 << 15
 
 PIECE = 1 << 20
 """Bytes that are asked of the connection at once: what is only claimed takes no memory."""
+
+SMALL_PIECE = 1 << 12
+"""The same of the first request: a piece that breaks off is lost."""
 
 SECONDS = 30.0
 """How long a server may say nothing."""
@@ -34,7 +36,7 @@ _OTHER_LENGTH = f"the answer is not as long as its range; {_DOWNLOAD}"
 
 
 class BrokenConnectionError(DataError):
-    """Nothing answers at an address, or what it sends breaks off."""
+    """Nothing answers at an address, the server fails, or what it sends breaks off."""
 
 
 class HttpSource:
@@ -62,7 +64,7 @@ class HttpSource:
         self._target = quote(target, safe=_AS_IT_IS, errors="replace")
         self._turn = threading.Lock()
         self.bytes_read, self.size = 0, 0
-        self._front = memoryview(self._request(0, FRONT))
+        self._front = memoryview(self._request(0, FRONT, partly=True))
 
     def close(self) -> None:
         """End the connection."""
@@ -77,39 +79,40 @@ class HttpSource:
         with self._turn:
             return memoryview(self._request(offset, length))
 
-    def _request(self, offset: int, length: int) -> bytes:
-        """Up to ``length`` bytes; fewer only where the file ends."""
+    def _request(self, offset: int, length: int, partly: bool = False) -> bytes:
+        """Up to ``length`` bytes; fewer at the file's end or, ``partly``, if the answer breaks off.
+
+        Raises:
+            BrokenConnectionError: they broke off, ``partly`` before the first one.
+        """
         asked = {"Range": f"bytes={offset}-{offset + length - 1}", "Accept-Encoding": "identity"}
+        data, broken = bytearray(), "the answer is cut; try again"
+        piece_size = SMALL_PIECE if partly else PIECE
         try:
             try:
                 answer = self._ask(asked)
             except ConnectionError:  # a server may end a connection that waits; a new one opens
                 self.close()
                 answer = self._ask(asked)
-            size = self._check(answer, offset, length)
-            data = b"".join(self._pieces(answer, size))
+            left = self._check(answer, offset, length)
+            while left and (piece := answer.read(min(left, piece_size))):
+                data += piece
+                left -= len(piece)
             # An answer in pieces ends with an empty one, which must be read before the next answer.
-            more = answer.read(1) if answer.length is None and len(data) == size else b""
+            more = answer.read(1) if answer.length is None and not left else b""
         except (OSError, http.client.HTTPException, ValueError) as error:
-            self.close()
             problem = " ".join(str(error).split()) or type(error).__name__
-            raise BrokenConnectionError(
-                f"{self._url}: not read ({problem}); look at the address, or try again"
-            ) from None
+            broken = f"not read ({problem}); look at the address, or try again"
+            left, more = 1, b""
         if more:
             self.close()
             raise DataError(f"{self._url}: {_OTHER_LENGTH}")
-        if len(data) != size:
+        if left:
             self.close()
-            raise BrokenConnectionError(f"{self._url}: the answer is cut; try again")
-        self.bytes_read += size
-        return data
-
-    def _pieces(self, answer: http.client.HTTPResponse, size: int) -> Iterator[bytes]:
-        """Up to ``size`` bytes of an answer; fewer only where it ends."""
-        while size and (piece := answer.read(min(size, PIECE))):
-            size -= len(piece)
-            yield piece
+            if not (partly and data):
+                raise BrokenConnectionError(f"{self._url}: {broken}")
+        self.bytes_read += len(data)
+        return bytes(data)
 
     def _ask(self, headers: dict[str, str]) -> http.client.HTTPResponse:
         self._connection.request("GET", self._target, headers=headers)
@@ -130,7 +133,8 @@ class HttpSource:
             problem = "the file has changed meanwhile; try again"
         if problem:
             self.close()
-            raise DataError(f"{self._url}: {problem}")
+            failed = BrokenConnectionError if answer.status >= 500 else DataError
+            raise failed(f"{self._url}: {problem}")
         self.size = size
         return last - first + 1
 

@@ -20,7 +20,8 @@ def serve(
     way: "pieces": answers come in pieces without a length; "long": they are longer than their
     range; "packed": they say that they are; "leaving": the connection ends after each one,
     unannounced; "huge": all files are said to have CLAIMED bytes, and answers are cut; "unknown":
-    the size of files is not said. limit: bytes of files that are sent before connections break.
+    the size of files is not said; "failing": it says 503 where others break. limit: bytes of files
+    that are sent before connections break.
     """
     left = limit
 
@@ -28,9 +29,10 @@ def serve(
         protocol_version = "HTTP/1.1"
 
         def do_GET(self) -> None:
+            nonlocal left
             data = files.get(self.path.lstrip("/"))
-            if data is None:
-                self.send_response(302 if self.path == "/moved" else 404)
+            if data is None or (way == "failing" and not left):
+                self.send_response(503 if data else 302 if self.path == "/moved" else 404)
                 self.send_header("Location", "file:///etc/passwd")
                 self.send_header("Content-Length", "0")
                 self.end_headers()
@@ -56,7 +58,6 @@ def serve(
             if way == "packed":
                 self.send_header("Content-Encoding", "gzip")
             self.end_headers()
-            nonlocal left
             self.wfile.write(part[:left])
             self.close_connection |= way in ("leaving", "huge") or left < len(part)
             left = max(left - len(part), 0)

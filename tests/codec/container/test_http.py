@@ -60,6 +60,12 @@ def test_what_has_come_before_a_connection_breaks_is_a_coarser_scene(details):
         assert_same(decode(url + "s.clgs", box=box), decode(data, layers=2, box=box))
     with serve({"s.clgs": data}, limit=FRONT) as url:
         assert_same(decode(url + "s.clgs", layers=1), decode(data, layers=1))
+    cut = pytest.warns(UserWarning, match="layer 1 of 4")
+    with serve({"s.clgs": data}, limit=(ends[0] + ends[1]) // 2) as url, cut:  # in the first answer
+        assert_same(decode(url + "s.clgs"), decode(data, layers=1))
+    cut = pytest.warns(UserWarning, match="says 503; try again; it has layers 1 to 2 of 4")
+    with serve({"s.clgs": data}, limit=FRONT, way="failing") as url, cut:
+        assert_same(decode(url + "s.clgs"), decode(data, layers=2))
     with serve({"s.clgs": data}, limit=1000) as url, pytest.raises(DataError, match="try again"):
         decode(url + "s.clgs")
 
