@@ -97,7 +97,9 @@ def test_everything_is_there(finished, output_of):
     command = re.findall(r"clgs run [^<\n]*", page)[-1]
     assert "--lambda 0.03" in command
     assert "--set log_interval=7 --set learning_rates.offset=0.01,0.0001" in command
-    again = output_of(*shlex.split(html.unescape(command))[1:], "--overwrite", "--plan")
+    command = html.unescape(command)
+    assert "--name '<Hut>' --clip spiral --clip-time 1s --clip-size 48x32" in command
+    again = output_of(*shlex.split(command)[1:], "--overwrite", "--plan")
     assert "30 steps on photos at most 40 wide" in again
     config = from_toml((finished / "run" / "config.toml").read_text())
     assert (config.size_lambda, config.max_anchors, config.log_interval) == (0.03, 9000, 7)

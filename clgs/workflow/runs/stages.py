@@ -51,7 +51,7 @@ from clgs.workflow.runs.record import (
 from clgs.workflow.scenes import read_drawable, read_scene
 from clgs.workflow.smaller import EncodedFile
 from clgs.workflow.train import train
-from clgs.workflow.views import Evaluation, evaluate, load_views
+from clgs.workflow.views import Evaluation, evaluate, load_views, scene_name
 
 SCENE, SCORES, REPORT = "scene.clgs", "scores.json", "report.html"
 PAGE, GAUSSIANS, CLIP = "scene.html", "scene.ply", "clip.mp4"
@@ -252,6 +252,17 @@ class RunStages:
         size = chosen.size or ((plan["width"], plan["height"]) if plan else None)
         return PathOptions(name, frames, fps, size)
 
+    def _clip_options(self, chosen: Presentation) -> list[object]:
+        """The options that ask for the clip that was planned, or is chosen now."""
+        plan: dict[str, Any] = self._record.plan.get("clip", {})  # older runs have none
+        path, seconds, size = chosen.path or plan.get("path"), chosen.seconds, chosen.size
+        if plan and path != "none":
+            seconds = seconds or plan["frames"] / plan["fps"]
+            size = size or (plan["width"], plan["height"])
+        words: list[object] = ["--clip", path] if path else []
+        words += ["--clip-time", f"{seconds:g}s"] if seconds else []
+        return words + (["--clip-size", f"{size[0]}x{size[1]}"] if size else [])
+
     def finish(
         self, given: RunInput, data: Path, failures: dict[str, Exception], shown: Presentation
     ) -> FinishedRun:
@@ -275,6 +286,9 @@ class RunStages:
                 words += ["--set", f"{name}={_as_word(value)}"]
         if self._device_name is not None:
             words += ["--device", self._device_name]
+        if shown.title not in (None, scene_name(given.path)):
+            words += ["--name", shown.title]
+        words += self._clip_options(shown)
         write_run_report(
             self.run_folder,
             command=command_line(*words),
