@@ -201,6 +201,7 @@ def export(
         sh = scene.gaussians.sh[:, : (degree + 1) ** 2]
         gaussians = replace(scene.gaussians, sh=np.ascontiguousarray(sh))
         up = to_y_up(kind, scene.transform.frame) if kind else None
+        _check_coordinates(output, gaussians.mean, transform)
         encoded = _encode(output, gaussians, transform, up, on_event)
     else:
         steps, antialiased = given.pop("steps", None), given.pop("antialiased", None)
@@ -231,8 +232,7 @@ def _bake(
 ) -> tuple[Encoded, BakedLoss]:
     """The file of the baked Gaussians, and what baking costs."""
     scene, kind = quantized.dequantize(), ""
-    if output.suffix.lower() == ".spz":  # it holds no large coordinates: say so before baking
-        fraction_bits(transform.to_world(scene.anchors.position.astype(np.float64)))
+    _check_coordinates(output, scene.anchors.position, transform)  # before baking
 
     def photo(view: View) -> Planes:
         view.photo.keep()
@@ -256,6 +256,17 @@ def _bake(
     up = to_y_up(kind, scene.transform.frame) if kind else None
     encoded = _encode(output, gaussians, transform, up, on_event)
     return encoded, baked_loss(device, scene, encoded.gaussians, scored)
+
+
+def _check_coordinates(
+    output: Path, position: npt.NDArray[np.float32], transform: SceneTransform
+) -> None:
+    """Raise DataError if positions (N, 3) are too large for the kind of file."""
+    try:
+        if output.suffix.lower() == ".spz":
+            fraction_bits(transform.to_world(position.astype(np.float64)))
+    except DataError as error:
+        raise DataError(f"{output}: {error}") from None
 
 
 def _encode(

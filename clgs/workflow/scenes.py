@@ -30,6 +30,9 @@ SPLAT_SUFFIXES = (".ply", ".spz", ".sog", ".json")
 WRITTEN_ONLY = (".glb", ".html")
 """Suffixes of what `clgs export` writes and clgs does not read."""
 
+UNREAD = (".splat", ".ksplat", ".rad")
+"""Suffixes of splats that clgs does not read."""
+
 
 def run_folder(scene: Path) -> Path:
     """The run folder that ``scene`` is or lies in.
@@ -80,6 +83,8 @@ def read_drawable(path: Path) -> tuple[QuantizedScene | SplatScene, int | None]:
         return read_scene(path)
     if path.suffix.lower() in WRITTEN_ONLY and path.is_file():
         raise DataError(f"{path}: such files are written, not read; name a .clgs or .ply file")
+    if path.suffix.lower() in UNREAD:
+        raise DataError(f"{path}: such files are not read; convert it to .ply, .spz or .sog")
     data = read_bytes(path)
     with naming(path):
         if is_splats(data):

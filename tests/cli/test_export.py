@@ -29,6 +29,10 @@ def work(tmp_path, monkeypatch):
     (tmp_path / "old.ply").write_bytes(b"old")
     (tmp_path / "old.spz").write_bytes(b"old")
     (tmp_path / "old.glb").write_bytes(b"old")
+    (tmp_path / "empty.spz").touch()
+    (tmp_path / "web.splat").write_bytes(bytes(64))
+    far = replace(gaussians(), mean=gaussians().mean * np.float32(1e30))
+    (tmp_path / "far.ply").write_bytes(encode_ply(far).data)
     (tmp_path / "photos").mkdir()
     return tmp_path
 
@@ -43,6 +47,9 @@ def work(tmp_path, monkeypatch):
         ),
         ("old.glb -o x.ply", 3, "old.glb: such files are written, not read; name a .clgs or .ply"),
         ("old.spz -o x.ply", 3, "old.spz: not a PLY file; name one"),
+        ("empty.spz -o x.ply", 3, "empty.spz: the file is empty; write the file again"),
+        ("web.splat -o x.ply", 3, "web.splat: such files are not read; convert it to .ply"),
+        ("far.ply -o x.spz", 3, "x.spz: a coordinate is "),
         ("-o x.ply", 2, "a scene is needed: `clgs export SCENE -o x.ply`"),
         ("splats.ply -o old.ply", 2, "old.ply: exists already; add --overwrite"),
         ("splats.ply -o splats.ply --overwrite", 2, "splats.ply: "),

@@ -234,6 +234,8 @@ def test_the_file_of_a_run_gives_the_same_run(tmp_path, name):
     ("word", "message"),
     [
         ("steps", "'steps' is not NAME=VALUE"),
+        (" =3", "' =3' is not NAME=VALUE"),
+        ("learning_rates=1,2", "learning_rates: no such setting; did you mean learning_rates."),
         ("stpes=3", "stpes: no such setting; did you mean steps?"),
         ("offset=1,2", "offset: no such setting; did you mean offset_q?"),
         ("mlp_color=1,2", "mlp_color: no such setting; did you mean learning_rates.mlp_color?"),

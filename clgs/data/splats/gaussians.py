@@ -90,6 +90,8 @@ def read_splat_table(path: Path) -> PlyTable:
     """
     with reading(path), np.errstate(over="ignore", invalid="ignore"):  # scene_of looks
         data = path.read_bytes()
+        if not data:
+            raise ValueError("the file is empty")
         if data[:2] == spz.GZIP or data[:4] == spz.MAGIC:
             table = spz.decode_spz(data)
         elif data[:4] == sog.ZIP:

@@ -165,7 +165,7 @@ def parse_word(word: str) -> tuple[str, Any]:
         UsageError: no such form, an unknown name or a value of the wrong type or range.
     """
     name, equals, text = word.partition("=")
-    if not equals:
+    if not equals or not name.strip():
         raise UsageError(f"{word!r} is not NAME=VALUE, such as switch_step=5000")
     name = name.strip().replace("-", "_")
     return name, find(name).parse(text.strip())
@@ -180,7 +180,8 @@ def find(name: str) -> Option:
     known = options_of(TrainConfig)
     if name in known:
         return known[name]
-    near = get_close_matches(name, known, n=1) or [one for one in known if one.endswith(f".{name}")]
+    near = [one for one in known if one.startswith(f"{name}.")]
+    near += get_close_matches(name, known, n=1) or [n for n in known if n.endswith(f".{name}")]
     remedy = f"did you mean {near[0]}?" if near else "`clgs train --help` lists all"
     raise UsageError(f"{name[:60]}: no such setting; {remedy}")
 
