@@ -293,9 +293,9 @@ def _coarse_and_plan(
             )
         used = idle, int(coarse.summary["peak_memory_bytes"] or 0)
         whole = idle + int(GROWTH * max(0, used[1] - idle)) >> 20  # MiB
-        on_event(
-            Note(f"the whole would take about {whole} MiB at once; a worker has {memory >> 20}")
-        )
+        fits = "; it fits without --blocks, too" if whole <= memory >> 20 else ""
+        text = f"the whole would take about {whole} MiB at once; a worker has {memory >> 20}{fits}"
+        on_event(Note(text))
         contribution = seen.contribution(len(coarse.scene.anchors))
         counts = counts_for_memory(coarse.scene, contribution, up_of(photos), used, memory)
     return coarse, make_plan(folder / BLOCKS, coarse.scene, photos, seen, counts)

@@ -90,6 +90,7 @@ def register(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Train, as a whole or in blocks; exit code 0."""
     from clgs.cli.display import Display
+    from clgs.cli.tell import warnings_once
     from clgs.workflow.events import Event, TrainingProgress
 
     config = make_config(vars(args))
@@ -114,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
 
     options["on_event"] = follow
     try:
-        with display:
+        with warnings_once(), display:
             if args.blocks is None:
                 from clgs.workflow.train import train
 
