@@ -217,7 +217,6 @@ def export(
 
 
 def _known(source: Path | None) -> Path | None:
-    """The data set that the run folder of ``source`` names, if there is one."""
     return None if source is None else known_data(source)
 
 
