@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
+from clgs.cluster.block_run import train_in_blocks
 from clgs.cluster.engine import Message, connected, require_distributed, run_tasks
 from clgs.cluster.table import read_scenes
 from clgs.cluster.worker import Reporter, Row, Task, Tell, forget_peak_memory
 from clgs.files import make_folder
 from clgs.train.config import layered
-from clgs.workflow.events import Event, Note, TrainingProgress
+from clgs.workflow.events import Event, Note, StageProgress, TrainingProgress
 from clgs.workflow.train import train
 
 FIGURES = ("psnr", "ssim", "bytes", "anchors", "train_seconds", "peak_memory_bytes")
@@ -56,6 +58,8 @@ def train_scenes(
 def train_one(task: Task, tell: Tell = lambda message: None) -> Row:
     """Train the scene of a task, as of :func:`clgs.cluster.table.read_scenes`; its row.
 
+    Blocks of one are trained one after the other.
+
     Raises:
         ClgsError, OSError: as :func:`clgs.workflow.train.train`.
     """
@@ -69,8 +73,11 @@ def train_one(task: Task, tell: Tell = lambda message: None) -> Row:
             reporter.progress(event.progress)
         elif isinstance(event, Note):
             reporter.now(event.text)
+        elif isinstance(event, StageProgress):
+            reporter.now(f"{event.stage} {event.done}/{event.total}")
 
-    trained = train(
+    work = train if task.get("blocks") is None else partial(train_in_blocks, blocks=task["blocks"])
+    trained = work(
         Path(task["data"]),
         Path(task["folder"]),
         config,

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from clgs.cluster.block_plan import parse_counts
 from clgs.cluster.worker import Task
 from clgs.errors import UsageError
 from clgs.train.config import layered
@@ -78,11 +79,11 @@ def checked(values: Any, where: str) -> Settings:
 
 
 def read_scenes(path: Path, output: Path) -> list[Task]:
-    """The scenes of a table, each with ``data`` and perhaps ``settings``, as tasks.
+    """The scenes of a table, each with ``data``, perhaps ``settings`` and ``blocks``, as tasks.
 
     ``[settings]`` are those of every scene; a scene's own count more. Folders of data are relative
     to that of the table. A task has run (the scene's name), data, folder (``output``/NAME), lock
-    (paths) and settings.
+    (paths), blocks (NxM or None) and settings.
 
     Raises:
         UsageError: no such file, not TOML, or a name or value that cannot be; names where.
@@ -97,6 +98,7 @@ def read_scenes(path: Path, output: Path) -> list[Task]:
                 "data": str((path.parent / _data(name, one)).resolve()),
                 "folder": str((output / name).resolve()),
                 "lock": str((output / "locks" / name).resolve()),
+                "blocks": _blocks(name, one),
                 "settings": _settings(name, one, shared),
             }
             for name, one in named(table, "scene")
@@ -106,13 +108,23 @@ def read_scenes(path: Path, output: Path) -> list[Task]:
 
 
 def _data(name: str, one: Mapping[str, Any]) -> str:
-    only(one, f"scene.{name}", ("data", "settings"))
+    only(one, f"scene.{name}", ("data", "settings", "blocks"))
     data = one.get("data")
     if not isinstance(data, str) or not data or "\0" in data:
         raise UsageError(f"scene.{name}.data: give the folder of the data set")
     if name in ("kernels", "locks"):
         raise UsageError(f"scene.{name}: the folder of runs has one of this name; rename it")
     return data
+
+
+def _blocks(name: str, one: Mapping[str, Any]) -> str | None:
+    blocks = one.get("blocks")
+    try:
+        if blocks is not None and parse_counts(str(blocks)) is None:
+            raise UsageError("a table cannot ask what memory is free; give NxM")
+    except UsageError as error:
+        raise UsageError(f"scene.{name}.blocks: {error}") from None
+    return blocks
 
 
 def _settings(name: str, one: Mapping[str, Any], shared: Settings) -> Settings:

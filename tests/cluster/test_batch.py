@@ -129,6 +129,20 @@ def test_two_workers_one_killed_and_this_process_make_the_same_files(table, tmp_
     assert files(tmp_path / "runs") == expected
 
 
+@pytest.mark.slow
+def test_a_scene_in_blocks_is_that_of_clgs_train(table, tmp_path):
+    table.write_text(f'{TABLE}blocks = "2x1"\n')
+    _, task = read_scenes(table, tmp_path / "runs")
+    said = list[str]()
+    assert "psnr" in train_one(task, lambda message: said.append(message["doing"]))
+    assert any(line.startswith("steps of all blocks ") for line in said)
+    options = "--steps 60 --voxel 0.05 --start-points 2000 --checkpoint-interval 10 --seed 1"
+    alone = ["train", str(tmp_path / "balls"), "-o", str(tmp_path / "runs" / "alone")]
+    assert main([*alone, "--blocks", "2x1", *options.split()]) == 0
+    made = files(tmp_path / "runs")
+    assert made["second"] == made["alone"]
+
+
 @needs_dask
 @pytest.mark.slow
 def test_a_scheduler_that_is_lost_is_one_line(tmp_path, caplog):

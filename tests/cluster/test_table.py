@@ -18,6 +18,7 @@ data = "photos/a"
 [scene.b-2]
 data = "b"
 settings = { steps = 90, "learning_rates.offset" = [0.01, 0.001] }
+blocks = "2x1"
 """
 
 
@@ -41,6 +42,7 @@ def test_scenes_have_the_shared_settings_and_their_own(read, tmp_path):
     rates = {"learning_rates.offset": (0.01, 0.001)}
     assert second["settings"] == {"steps": 90, "voxel": 0.05, **rates}
     assert first["lock"] != second["lock"]
+    assert (first["blocks"], second["blocks"]) == (None, "2x1")
 
 
 @pytest.mark.parametrize(
@@ -56,6 +58,8 @@ def test_scenes_have_the_shared_settings_and_their_own(read, tmp_path):
         ('[scene."../a"]\ndata = "a"\n', "scene.'../a': is no name"),
         ('[scene.locks]\ndata = "a"\n', "scene.locks: the folder of runs has one of this name"),
         ('[scene.a]\ndata = "a"\nstep = 3\n', "scene.a: no field 'step'; it may have data"),
+        ('[scene.a]\ndata = "a"\nblocks = "auto"\n', "scene.a.blocks: a table cannot ask what"),
+        ('[scene.a]\ndata = "a"\nblocks = 2\n', "scene.a.blocks: --blocks 2: is not NxM, such as"),
         ('[settings]\nstep = 3\n[scene.a]\ndata = "a"\n', "settings: step: no such setting"),
         (
             '[scene.a]\ndata = "a"\nsettings = { steps = 0 }\n',
