@@ -133,8 +133,8 @@ def export(
     and cameras. An argument that the file does not depend on is refused.
 
     Args:
-        source: run folder, .clgs file, file of splats (.ply, .spz, .sog), or folder of a data set;
-            None for a page without a scene, to drop files on.
+        source: run folder, .clgs file, file of splats (.ply, .spz, .sog, .splat), or folder of a
+            data set; None for a page without a scene, to drop files on.
         output: the new file.
         data: the data set of the scene; default: the one that its run folder names. Gaussians are
             fitted to its photos, the page starts at its first held-out view, and the y axis of a

@@ -24,13 +24,13 @@ from clgs.workflow.outputs import holds_run
 PLAN = "plan.json"
 """The file by which the output folder of `clgs run` is recognised: the plan of that run."""
 
-SPLAT_SUFFIXES = (".ply", ".spz", ".sog", ".json")
+SPLAT_SUFFIXES = (".ply", ".spz", ".sog", ".splat", ".json")
 """Suffixes of files of ordinary splats; .json is that of a .sog file that is not zipped."""
 
 WRITTEN_ONLY = (".glb", ".html")
 """Suffixes of what `clgs export` writes and clgs does not read."""
 
-UNREAD = (".splat", ".ksplat", ".rad")
+UNREAD = (".ksplat", ".rad")
 """Suffixes of splats that clgs does not read."""
 
 

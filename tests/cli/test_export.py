@@ -30,7 +30,7 @@ def work(tmp_path, monkeypatch):
     (tmp_path / "old.spz").write_bytes(b"old")
     (tmp_path / "old.glb").write_bytes(b"old")
     (tmp_path / "empty.spz").touch()
-    (tmp_path / "web.splat").write_bytes(bytes(64))
+    (tmp_path / "web.ksplat").write_bytes(bytes(64))
     far = replace(gaussians(), mean=gaussians().mean * np.float32(1e30))
     (tmp_path / "far.ply").write_bytes(encode_ply(far).data)
     (tmp_path / "photos").mkdir()
@@ -48,7 +48,7 @@ def work(tmp_path, monkeypatch):
         ("old.glb -o x.ply", 3, "old.glb: such files are written, not read; name a .clgs or .ply"),
         ("old.spz -o x.ply", 3, "old.spz: not a PLY file; name one"),
         ("empty.spz -o x.ply", 3, "empty.spz: the file is empty; write the file again"),
-        ("web.splat -o x.ply", 3, "web.splat: such files are not read; convert it to .ply"),
+        ("web.ksplat -o x.ply", 3, "web.ksplat: such files are not read; convert it to .ply"),
         ("far.ply -o x.spz", 3, "x.spz: a coordinate is "),
         ("-o x.ply", 2, "a scene is needed: `clgs export SCENE -o x.ply`"),
         ("splats.ply -o old.ply", 2, "old.ply: exists already; add --overwrite"),

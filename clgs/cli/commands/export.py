@@ -33,8 +33,8 @@ Write what other programs open; the suffix of FILE says what:
          with --viewer and no SCENE: a page to drop .clgs files on.
   .ply .spz .sog from SCENE: baked to ordinary 3D Gaussians, for 3DGS viewers.
          With --data they are fitted to its photos; without, to renders from
-         cameras around the scene, which is worse. Splats (.ply, .spz, .sog)
-         are converted. Coordinates are those of the data set."""
+         cameras around the scene, which is worse. Splats (.ply, .spz, .sog,
+         .splat) are converted. Coordinates are those of the data set."""
 
 
 def register(parser: argparse.ArgumentParser) -> None:

@@ -15,7 +15,7 @@ def register(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.description = (
         "Show the header and the sections of a .clgs file, with their bytes, or what a file of "
-        "splats (.ply, .spz, .sog) holds."
+        "splats (.ply, .spz, .sog, .splat) holds."
     )
     parser.add_argument("scene", type=named_path, metavar="FILE", help="the file")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")

@@ -2,7 +2,7 @@
 
 Splats are read as columns by the names of 3DGS's properties, from PLY files of 3DGS, Scaffold's
 anchors included, PLY files of SuperSplat with chunks, SPZ, SOG, and the meta.json of a SOG that is
-a folder. The first bytes of a file say which it is.
+a folder. The first bytes of a file say which it is; a .splat file has only its name.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy.typing as npt
 from clgs.arguments import as_path
 from clgs.codec.splat_packing import QuantizedSplats, unpack
 from clgs.constants import LOG_SCALE_LIMIT, NEAR_PLANE
-from clgs.data.splats import ply, sog, spz
+from clgs.data.splats import ply, sog, splat, spz
 from clgs.data.splats.ply import PlyTable, element_names, parse_ply, reading
 from clgs.errors import CodecError, DataError
 from clgs.scene.gaussians import DEGREES, MAX_DEGREE, SH_0, OrdinaryGaussians, logit, sigmoid
@@ -92,7 +92,9 @@ def read_splat_table(path: Path) -> PlyTable:
         data = path.read_bytes()
         if not data:
             raise ValueError("the file is empty")
-        if data[:2] == spz.GZIP or data[:4] == spz.MAGIC:
+        if path.suffix.lower() == splat.SUFFIX:
+            table = splat.decode_splat(data)
+        elif data[:2] == spz.GZIP or data[:4] == spz.MAGIC:
             table = spz.decode_spz(data)
         elif data[:4] == sog.ZIP:
             table = sog.decode_sog(data)
@@ -209,7 +211,7 @@ Properties = Mapping[str, npt.NDArray[Any]]
 
 
 def load_splats(path: Path | str) -> SplatScene:
-    """Ordinary Gaussians to render: a .ply, .spz or .sog file, or a .clgs file of ``clgs pack``.
+    """Ordinary Gaussians to render: a .ply, .spz, .sog or .splat file, or one of ``clgs pack``.
 
     They are over black, in the units of their data set; if they lie so far from the origin that
     float32 would move them, the middle is the origin, as ``transform`` says. Those with a number

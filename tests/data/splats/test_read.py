@@ -321,3 +321,46 @@ def test_points_keep_their_colors(tmp_path):
     columns |= {name: np.arange(4, dtype=np.uint8) for name in ("red", "green", "blue")}
     (tmp_path / "p.ply").write_bytes(pack_ply(PlyTable(columns)))
     assert list(read_splat_table(tmp_path / "p.ply").columns) == list(columns)
+
+
+def splat_file(given) -> bytes:
+    """The .splat file of Gaussians of degree 0, as viewers' converters write it, splat by splat."""
+    rows = []
+    for i in range(len(given)):
+        unit = given.rotation[i].astype(float) / np.linalg.norm(given.rotation[i])
+        alpha = 1 / (1 + np.exp(-float(given.opacity[i])))
+        color = [*(0.5 + 0.28209479177387814 * given.sh[i, 0].astype(float)), alpha]
+        bytes_ = [round(min(max(one * 255, 0), 255)) for one in color]
+        bytes_ += [round(min(max(one * 128 + 128, 0), 255)) for one in unit]
+        sizes = np.exp(given.log_scale[i].astype(float))
+        rows.append(struct.pack("<3f3f8B", *given.mean[i], *sizes, *bytes_))
+    return b"".join(rows)
+
+
+def test_splat_files_of_web_viewers_are_read(tmp_path):
+    given = gaussians(0)
+    (tmp_path / "web.SPLAT").write_bytes(splat_file(given))
+    scene, size = read_drawable(tmp_path / "web.SPLAT")
+    assert size == 32 * len(given)
+    off = differences(scene.gaussians, given)
+    assert off["mean"] == 0.0
+    assert off["log_scale"] <= 1e-6
+    assert off["opacity"] <= 0.51 / 255
+    assert off["sh"] <= 0.51 / 255 / 0.28209479
+    assert off["rotation"] <= 1e-4
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (bytes(33), "33 bytes are no .splat file, which has 32 per splat"),
+        (struct.pack("<6f8B", 0, 0, 0, -1, 1, 1, *bytes(8)), "a .splat file with negative scales"),
+        (b"", "the file is empty"),
+        (struct.pack("<6f8B", 0, 0, 0, 1, 1, 1, *[128] * 8), "holds no splats that can be drawn"),
+        (struct.pack("<6f8B", np.nan, 0, 0, 1, 1, 1, *bytes(8)), "holds no splats that can be"),
+    ],
+)
+def test_a_damaged_splat_file_is_one_line(tmp_path, data, said):
+    (tmp_path / "s.splat").write_bytes(data)
+    with pytest.raises(DataError, match=rf"^[^\n]*s\.splat: {said}[^\n]*$"):
+        load_splats(tmp_path / "s.splat")
