@@ -14,7 +14,7 @@ from clgs.files import check_folder, write_json
 from clgs.machine import return_freed_memory
 from clgs.opencl.device import Device
 from clgs.train.config import TrainConfig
-from clgs.train.run.load import check_box, load_for, state_of_run
+from clgs.train.run.load import check_box, load_for, state_of_run, steps_done
 from clgs.train.run.run_folder import (
     RunResult,
     check_run_folder,
@@ -85,8 +85,7 @@ def train(
     if (folder / "checkpoint").is_file():
         raise UsageError(f"{folder / 'checkpoint'}: is not a folder; remove it")
     check_apart(folder, data)
-    if start is not None and folder.resolve() == start.resolve():
-        raise UsageError(f"{folder}: is the run to go on from; name another folder with -o")
+    begun = None if start is None else _find_begun(start, folder, config)
     check_run_folder(folder, resume, overwrite)
     if resume:
         check_same_data(folder, data)
@@ -94,11 +93,10 @@ def train(
     opened.profile.enabled = profile
     points = folder if start is None else start  # that run has triangulated some already
     dataset = load_for(config, data, points, lambda line: on_event(Note(line)))
-    if start is not None:
-        scene = finished_settings(start)[0].scene
-        check_box(config, scene.dequantize().anchors.position, f"the anchors of {start}")
-        posed = repose(dataset, scene.transform)
-        if doubt := same_place(start, dataset, posed, data):
+    if begun is not None:
+        check_box(config, begun.scene.dequantize().anchors.position, f"the anchors of {start}")
+        posed = repose(dataset, begun.scene.transform)
+        if doubt := same_place(begun.folder, dataset, posed, data):
             on_event(Note(doubt))
         dataset = posed
     config = config.for_devices(len(devices)).for_dataset(dataset.kind)
@@ -125,6 +123,15 @@ def train(
         write_json(folder / "profile.json", record)
     write_report()
     return TrainedRun(result, config.steps, times=tuple(rows))
+
+
+def _find_begun(start: Path, folder: Path, config: TrainConfig) -> RunResult:
+    """The run in ``start`` that is to go on in ``folder``; UsageError if it cannot."""
+    if folder.resolve() == start.resolve():
+        raise UsageError(f"{folder}: is the run to go on from; name another folder with -o")
+    begun = finished_settings(start)[0]
+    steps_done(begun, config)
+    return begun
 
 
 def read_finished(

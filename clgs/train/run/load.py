@@ -30,7 +30,7 @@ from clgs.scene.storage import load_scene
 from clgs.train.config import TrainConfig
 from clgs.train.config.run_settings import LEAST_ANCHORS, OBJECTS, RANDOM, TRAINED
 from clgs.train.config.settings import BLENDER
-from clgs.train.run.run_folder import finished_settings, settings_for
+from clgs.train.run.run_folder import RunResult, finished_settings, settings_for
 from clgs.train.state.checkpoint import checkpoints, load_state
 from clgs.train.state.hashes import run_digest
 from clgs.train.state.run_state import Means, RunState, new_exposures, new_state
@@ -201,6 +201,17 @@ def state_of_scene(
     return state
 
 
+def steps_done(found: RunResult, config: TrainConfig) -> int:
+    """The steps of a finished run; UsageError if they are all that ``config`` asks for."""
+    steps = int(found.summary["steps"])
+    if config.steps <= steps:
+        raise UsageError(
+            f"steps: {found.folder} has done {steps}, which count; give more than that, or leave "
+            "it out"
+        )
+    return steps
+
+
 def state_of_run(device: Device, dataset: Dataset, config: TrainConfig, folder: Path) -> RunState:
     """The state of a run that goes on from the finished run in ``folder``.
 
@@ -219,11 +230,7 @@ def state_of_run(device: Device, dataset: Dataset, config: TrainConfig, folder: 
         UsageError: the run has done ``config.steps`` already, or has positions on another grid.
     """
     found, old = finished_settings(folder)
-    steps, scales = int(found.summary["steps"]), found.scene.scales
-    if config.steps <= steps:
-        raise UsageError(
-            f"steps: {folder} has done {steps}, which count; give more than that, or leave it out"
-        )
+    steps, scales = steps_done(found, config), found.scene.scales
     if steps > config.switch_step and config.position_q != scales.position:
         raise UsageError(
             f"position_q: positions of {folder} are multiples of 1 / {scales.position:g} already; "
