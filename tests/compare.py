@@ -1,7 +1,5 @@
 """Compare arrays so that a NaN fails and the worst element is named."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from typing import Any
 

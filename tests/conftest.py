@@ -1,7 +1,5 @@
 """Fixtures of all tests: a device in both specialisations, shared data, a seeded generator."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Seeded Gaussians on the screen and in space, for tests and measurements of single stages."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ links what others have built, and gives what it has built itself. PoCL names a b
 source, options, device and its own version: a changed kernel is another build.
 """
 
-from __future__ import annotations
-
 import atexit
 import os
 import shutil

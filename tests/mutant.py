@@ -3,8 +3,6 @@
 CLGS_TEST_MUTANT names a folder with ``kernels_cl`` whole and, below ``clgs``, changed modules only.
 """
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import sys

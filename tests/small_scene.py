@@ -1,7 +1,5 @@
 """A tiny Blender-style data set, ray-cast by hand: three coloured balls before a dark wall."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

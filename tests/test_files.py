@@ -1,7 +1,5 @@
 """Files and folders appear completely or not at all."""
 
-from __future__ import annotations
-
 import io
 import os
 import re

@@ -1,7 +1,5 @@
 """A program that imports pycolmap before Pillow is warned; the other order is quiet."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

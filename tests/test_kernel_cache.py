@@ -1,7 +1,5 @@
 """Processes exchange built kernels, whole files only."""
 
-from __future__ import annotations
-
 import os
 from unittest.mock import Mock
 

@@ -1,7 +1,5 @@
 """This process: its peak of memory, what is freed, and the signals that ask it to end."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

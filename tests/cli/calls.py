@@ -1,7 +1,5 @@
 """A command in this process, as all tests of refusals call it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from clgs.cli.main import main

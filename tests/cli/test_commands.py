@@ -1,7 +1,5 @@
 """The commands, as a user runs them, on a tiny scene."""
 
-from __future__ import annotations
-
 import io
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """``clgs devices`` against what pyopencl says."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """`clgs encode --target-size` and `--target-psnr`: arguments, and a run without a dataset."""
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """`clgs eval`, and the files that it writes for other tools."""
 
-from __future__ import annotations
-
 import json
 import shutil
 

@@ -1,7 +1,5 @@
 """`clgs export`: what it chooses by the suffix, and what it says."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """``clgs info``: errors, and the table of a nested description."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Interruptions that come in the middle of an import wait for its end."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import signal

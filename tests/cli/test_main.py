@@ -1,7 +1,5 @@
 """The command line: help, version, exit codes, one line an error."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import re

@@ -1,7 +1,5 @@
 """What the commands refuse before they begin, and what they say then."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

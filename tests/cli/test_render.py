@@ -1,7 +1,5 @@
 """`clgs render` and `clgs eval` of clips, depth and ordinary splats, as a user runs them."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a run was trained on is what its scene is drawn for and scored on."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Lines on standard error: each in one piece, even if Python does not buffer."""
 
-from __future__ import annotations
-
 import os
 import socket
 import subprocess

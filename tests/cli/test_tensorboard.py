@@ -1,7 +1,5 @@
 """TensorBoard gets what training reports."""
 
-from __future__ import annotations
-
 import pytest
 
 from clgs.cli.commands.train import EventLog

@@ -1,7 +1,5 @@
 """`clgs train --from RUN`: its settings, and what its options say of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """`clgs view` in a process of its own: it says its address, answers there, and ends."""
 
-from __future__ import annotations
-
 import signal
 import socket
 import subprocess

@@ -1,7 +1,5 @@
 """Small data sets written to a folder."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """COLMAP models written by pycolmap, whole and damaged."""
 
-from __future__ import annotations
-
 import contextlib
 import struct
 import sys

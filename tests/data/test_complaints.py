@@ -1,7 +1,5 @@
 """Cameras apart from the rest, and those that only walked away."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

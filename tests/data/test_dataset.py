@@ -1,7 +1,5 @@
 """Folders to data sets: units, downscaling, initial points, the shared captures, bad folders."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Reading of every accepted kind of image, refusal of the others, box means."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 

@@ -1,7 +1,5 @@
 """Layouts of other programs, names that differ in form, masks named otherwise."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Distortion models against pycolmap, and undistorted images against the geometry."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A run knows its data set again."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Large photos that are reduced are decoded once, and come back with the same bits."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Start points from files of every format, whole, damaged and hostile."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import struct

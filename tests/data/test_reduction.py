@@ -1,7 +1,5 @@
 """Wide photos are reduced unless a number of times is asked for; cameras fit what is seen."""
 
-from __future__ import annotations
-
 import pytest
 
 from clgs.data.dataset import load_dataset

@@ -1,7 +1,5 @@
 """Photos stay in memory once, up to a bound, and are the same from memory and from the disk."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Blender and nerfstudio folders: poses, intrinsics, splits, missing and bad input."""
 
-from __future__ import annotations
-
 import copy
 import math
 import re

@@ -1,7 +1,5 @@
 """The demonstration's modules live in scripts/demo and import each other by their plain names."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

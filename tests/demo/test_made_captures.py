@@ -1,7 +1,5 @@
 """Poses of scenes whose parts look alike, against the truth."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

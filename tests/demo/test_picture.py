@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from picture import CAPTION, GAP, MIN_HEIGHT, WIDTH, draw_showcase

@@ -1,7 +1,5 @@
 """Photographs of splats are a Blender capture, with alpha, and upright."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

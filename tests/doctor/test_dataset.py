@@ -1,7 +1,5 @@
 """Every fault that a data set can have is named, with a remedy."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

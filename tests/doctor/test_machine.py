@@ -1,7 +1,5 @@
 """The machine: why there is no device, in words that help."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -1,7 +1,5 @@
 """Paths of cameras: where they lead, what they look at, and as files in nerfstudio's form."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

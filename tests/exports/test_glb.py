@@ -1,7 +1,5 @@
 """Cameras as a GLB file: read back by trimesh, and by hand from the header and the JSON."""
 
-from __future__ import annotations
-
 import io
 import json
 import struct

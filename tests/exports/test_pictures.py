@@ -1,7 +1,5 @@
 """Pictures and videos: what is written comes back; nothing half-written stays."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from PIL import Image

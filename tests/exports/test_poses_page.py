@@ -1,7 +1,5 @@
 """The page about camera poses: everything is there, and nothing is taken for markup."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The page about a run, from the files of its folder."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -3,8 +3,6 @@
 Files are given by their path from ``kernels_cl``, as includes name them: "blend/record.h".
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 

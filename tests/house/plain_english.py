@@ -3,8 +3,6 @@
 ``python -m tests.house.plain_english [PATH ...]`` lists them; without a path, those of all files.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 import sys

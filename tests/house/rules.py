@@ -1,7 +1,5 @@
 """The rules of ARCHITECTURE.md that a machine can check, as functions from text to complaints."""
 
-from __future__ import annotations
-
 import ast
 import functools
 import re

@@ -1,7 +1,5 @@
 """The checkout obeys the rules of ARCHITECTURE.md."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

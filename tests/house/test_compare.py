@@ -1,7 +1,5 @@
 """The comparison helpers must be able to fail."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

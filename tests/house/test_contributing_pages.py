@@ -1,7 +1,5 @@
 """The pages for newcomers work: what they list is carried out in a copy of the tree."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """The documentation: what is made from the code is whole, and the check of links can fail."""
 
-from __future__ import annotations
-
 import argparse
 import re
 import sys

@@ -3,8 +3,6 @@
 Python's is passed to the build. The headers' default lets each file compile alone.
 """
 
-from __future__ import annotations
-
 import ast
 import importlib
 import re

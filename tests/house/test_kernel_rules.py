@@ -1,7 +1,5 @@
 """The rules for kernel files complain about what they should, and about nothing else."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.house import kernel_rules

@@ -1,7 +1,5 @@
 """Every kernel file builds: alone with its form's defaults, and in both specialisations."""
 
-from __future__ import annotations
-
 import math
 import re
 

@@ -1,7 +1,5 @@
 """Generated mutants: every rule finds its kind of bug, and nothing but code is changed."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

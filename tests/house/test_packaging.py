@@ -1,7 +1,5 @@
 """The scripts that guard packaging can fail; the shell scripts parse."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

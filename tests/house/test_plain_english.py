@@ -1,7 +1,5 @@
 """The checkout is written in words that need no second reading, and the check of that can fail."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.house import plain_english

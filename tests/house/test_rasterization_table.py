@@ -1,7 +1,5 @@
 """The tables of docs/reference/rasterization.md name what the functions have, and refuse."""
 
-from __future__ import annotations
-
 import re
 from inspect import signature
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Every rule of the architecture must be able to fail."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.house import rules

@@ -1,7 +1,5 @@
 """What the kernels' form for GPUs takes of registers and memory, against the recorded table."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 from pathlib import Path

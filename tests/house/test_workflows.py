@@ -1,7 +1,5 @@
 """The workflow files: pinned actions, no secrets, the least permissions, and what was run."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

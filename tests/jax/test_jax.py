@@ -1,7 +1,5 @@
 """``clgs.jax``: the pictures and gradients of the NumPy form, under jit, grad and vmap."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Photos of any kind become what structure from motion reads; damaged ones are named."""
 
-from __future__ import annotations
-
 import logging
 import sys
 from pathlib import Path

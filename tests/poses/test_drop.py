@@ -1,7 +1,5 @@
 """Photos in doubt leave the data set, with their masks and what rests on them alone."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

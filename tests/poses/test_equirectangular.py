@@ -1,7 +1,5 @@
 """Equirectangular photos and frames become pinhole views that show what they should."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which pairs of photos speak for or against a model, and differences of two reconstructions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

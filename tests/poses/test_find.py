@@ -1,7 +1,5 @@
 """Which files are photos, which are not, and how their masks are found."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A ``prepare`` that is killed at any stage goes on there, and ends with the same bytes."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

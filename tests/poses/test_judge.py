@@ -1,7 +1,5 @@
 """Every reason for a doubt; which photos are left out; when the whole scene is in doubt."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, replace
 from itertools import pairwise
 from typing import Any

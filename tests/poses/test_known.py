@@ -1,7 +1,5 @@
 """Poses that are given: refined, refuted, completed; data sets that grow; GPS tags."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Structure from motion: a ray-cast room, real photos, input that cannot work."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from unittest.mock import Mock

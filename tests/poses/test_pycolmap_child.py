@@ -1,7 +1,5 @@
 """pycolmap in a child process: its result, its end, its failures."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

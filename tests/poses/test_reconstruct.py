@@ -1,7 +1,5 @@
 """The process of structure from motion ends with its parent, at once, and its crash is an error."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

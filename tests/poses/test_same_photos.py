@@ -1,7 +1,5 @@
 """Photos of a data set are found again among files whose names it has changed."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

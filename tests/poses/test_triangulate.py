@@ -1,7 +1,5 @@
 """Points of a ray-cast room at known poses lie on its walls; the cache; determinism."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Unfinished folders are removed if their process is killed, or by the next run."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

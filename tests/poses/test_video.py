@@ -1,7 +1,5 @@
 """Frames of videos that the test makes: sharp, evenly spread, and what is no video."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A database that another connection holds is waited for: pycolmap itself gives up at once."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

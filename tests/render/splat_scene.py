@@ -1,7 +1,5 @@
 """Random Gaussians and cameras for ``clgs.rasterization``, and the float64 references composed."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

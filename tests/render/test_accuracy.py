@@ -1,7 +1,5 @@
 """Accuracy presets of whole renders, and the enlarging of those that are rendered small."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``clgs.decode_anchors``: against float64, central differences, and the trainer's own picture."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Depth and opacity of whole pictures against float64 with the kernels' decisions."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

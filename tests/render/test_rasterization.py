@@ -1,7 +1,5 @@
 """``clgs.rasterization`` against the float64 references, and what it refuses."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Whole renders and their gradients against float64 with the kernels' decisions (tier 1)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

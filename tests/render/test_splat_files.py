@@ -1,7 +1,5 @@
 """Files of splats as other programs write them, drawn as they are meant: against float64."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

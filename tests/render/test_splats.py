@@ -1,7 +1,5 @@
 """Pictures of ordinary Gaussians and their gradients against float64 (tier 1)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

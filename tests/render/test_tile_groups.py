@@ -1,7 +1,5 @@
 """Memory budgets: groups of rows of tiles give the bits of one long list (N18, N19)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The parts of scripts/reproduce.py are the package ``reproduce`` in the folder of scripts."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Runs as tasks of dask end in the same files as runs without it, even if a worker is killed."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """BD-rate against cases worked out by hand."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

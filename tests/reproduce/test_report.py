@@ -1,7 +1,5 @@
 """Reports of stored rows, without training; what is compared with other states."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

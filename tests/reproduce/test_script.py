@@ -1,7 +1,5 @@
 """The command itself: exit codes, one line an error, and a report of what is finished."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import sys

@@ -1,7 +1,5 @@
 """The table of runs: what it expands to, and one line for each thing that cannot be."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -4,8 +4,6 @@ Its blending needs CUDA, so that the sum over pixels is written out here from it
 Gaussian over every pixel, in the order of depths.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

@@ -1,7 +1,5 @@
 """Voxel-GS scenes in ``clgs.torch``: autograd's rules, float64, and what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The examples run, at a tiny size."""
 
-from __future__ import annotations
-
 import runpy
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``clgs.torch`` against gsplat's own PyTorch code in float64, over random scenes."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The functions that gsplat's ``rasterization`` is made of, against its own PyTorch code."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``clgs.torch`` in programs that use more of PyTorch than a loss and a backward pass."""
 
-from __future__ import annotations
-
 import pytest
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install clgs[torch]")

@@ -3,8 +3,6 @@
 How to install it: docs/reference/rasterization.md.
 """
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

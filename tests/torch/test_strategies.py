@@ -1,7 +1,5 @@
 """gsplat's own strategies run on our ``meta``, without CUDA."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``clgs.torch``: autograd's rules, and what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What the viewer draws, without a browser."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The viewer through its web socket, as a browser speaks to it."""
 
-from __future__ import annotations
-
 import io
 import socket
 from dataclasses import replace

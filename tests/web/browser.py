@@ -1,7 +1,5 @@
 """A headless Chromium, driven over its DevTools protocol through a pair of pipes."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

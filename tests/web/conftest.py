@@ -1,7 +1,5 @@
 """The page's code, built for this machine once for all tests that call it."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.web import native

@@ -1,7 +1,5 @@
 """The page's C sources as a library of this machine, called as the page's worker calls them."""
 
-from __future__ import annotations
-
 import ctypes
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """A scene for the page's tests, and its camera."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

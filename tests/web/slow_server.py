@@ -1,7 +1,5 @@
 """A file server on the loopback address that sends a file only as far as the test lets it."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager

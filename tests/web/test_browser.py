@@ -1,7 +1,5 @@
 """The page in headless Chromium: no complaint, the file's integers, the picture of our renderer."""
 
-from __future__ import annotations
-
 import base64
 import json
 import sys

@@ -1,7 +1,5 @@
 """Chunks of a file in layers that come in any order: what is drawn meanwhile, and in the end."""
 
-from __future__ import annotations
-
 import ctypes
 
 import numpy as np

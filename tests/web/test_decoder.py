@@ -1,7 +1,5 @@
 """The page's decoder, built for this machine: integers, Gaussians and order as they should be."""
 
-from __future__ import annotations
-
 import ctypes
 import re
 import struct

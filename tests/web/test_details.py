@@ -1,7 +1,5 @@
 """Files that end with a layer of details, in the page's decoder: all floats, and damage."""
 
-from __future__ import annotations
-
 import ctypes
 import struct
 

@@ -1,7 +1,5 @@
 """The page as text: its size, that it loads nothing, where it starts, and the command."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re

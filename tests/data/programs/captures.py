@@ -1,7 +1,5 @@
 """One made capture in the forms of several programs: the same photos, cameras and points."""
 
-from __future__ import annotations
-
 import functools
 import io
 import json

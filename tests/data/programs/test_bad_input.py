@@ -1,7 +1,5 @@
 """Files of other programs that are damaged or hold what is not read: one line that says so."""
 
-from __future__ import annotations
-
 import json
 import shutil
 

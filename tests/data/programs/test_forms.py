@@ -1,7 +1,5 @@
 """The cameras of one capture, read from the forms of several programs, are those of COLMAP's."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

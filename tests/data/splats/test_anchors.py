@@ -1,7 +1,5 @@
 """Anchors as PLY files of the reference code: the layout, the way and back, what is refused."""
 
-from __future__ import annotations
-
 import os
 import re
 import tempfile

@@ -1,7 +1,5 @@
 """Ordinary Gaussians from 3DGS PLY files and from what `clgs pack` made of them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

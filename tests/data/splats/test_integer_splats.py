@@ -1,7 +1,5 @@
 """Default steps of splats: fine enough for the splats, and held by the file wherever they lie."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 

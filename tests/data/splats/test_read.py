@@ -1,7 +1,5 @@
 """SPZ, SOG and compressed PLY files, read by what their descriptions say."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import json

@@ -1,7 +1,5 @@
 """PLY tables: all forms read alike, and every lie in a header refused."""
 
-from __future__ import annotations
-
 import os
 import struct
 

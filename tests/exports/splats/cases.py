@@ -1,7 +1,5 @@
 """Ordinary Gaussians, and how far two records are apart."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from clgs.scene.gaussians import HostGaussians, OrdinaryGaussians

@@ -1,7 +1,5 @@
 """Files of ordinary Gaussians, read again by a few lines of each format's description."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import json

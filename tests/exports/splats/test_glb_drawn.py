@@ -1,7 +1,5 @@
 """An exported GLB, drawn by three.js in headless Chromium, is the picture of our renderer."""
 
-from __future__ import annotations
-
 import functools
 import http.server
 import json

@@ -3,8 +3,6 @@
 ``scripts/checks/splat_programs.sh`` installs the programs; without them the tests are skipped.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

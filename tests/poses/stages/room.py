@@ -1,7 +1,5 @@
 """Photos of a room and their features, which the stages of a reconstruction begin with."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The second reconstruction: its half of the tracks, and that it may be made at any time."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import threading

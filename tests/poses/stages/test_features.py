@@ -1,7 +1,5 @@
 """Features lie where the picture has them, as pycolmap's own search finds them."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

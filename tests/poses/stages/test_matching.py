@@ -1,7 +1,5 @@
 """Photos are matched alike on every device, and verified alike by any number of processes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Features that matching left out become points where the scene is, and move nothing else."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which photos of a large set are matched."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from clgs.poses.stages.pairs import LOOK_ALIKES, OVERLAP, likely_pairs
