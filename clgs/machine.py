@@ -2,7 +2,7 @@
 
 Memory is what is free, the peak of this process, and how the C library keeps what was freed.
 Threads are for C functions that release the interpreter's lock. Signals that ask the process to end
-are remembered until it is ready to.
+are remembered until it is ready to. Pipes that a library leaves open are closed.
 """
 
 from __future__ import annotations
@@ -15,10 +15,11 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import metadata
 from pathlib import Path
-from types import FrameType
+from types import FrameType, GeneratorType
+from typing import Any
 
 from clgs import __version__
 from clgs.arguments import check_integer
@@ -181,3 +182,19 @@ def interruptions() -> Iterator[Callable[[], bool]]:
         yield lambda: bool(seen)
     finally:
         restore()
+
+
+@contextmanager
+def ffmpeg_closed(generator: GeneratorType[Any, Any, Any]) -> Iterator[None]:
+    """After the block, close a generator of imageio-ffmpeg and the pipes that it leaves open."""
+    frame = generator.gi_frame
+    try:
+        yield
+    finally:
+        generator.close()
+        found = frame.f_locals if frame else {}
+        process = found.get("process") or found.get("p")
+        for pipe in (process.stdin, process.stdout, process.stderr) if process else ():
+            if pipe is not None:
+                with suppress(OSError):
+                    pipe.close()

@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.errors import ClgsError
-from clgs.ffmpeg import ffmpeg_closed
 from clgs.files import atomic_path
+from clgs.machine import ffmpeg_closed
 from clgs.shapes import Shapes
 
 Picture = npt.NDArray[np.uint8]

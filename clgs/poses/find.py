@@ -1,17 +1,19 @@
-"""The photos in a folder and below it, their masks, and what else lies there."""
+"""The photos in a folder and below it, with their masks, and which of them a data set has."""
 
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import re
-from collections import Counter
-from collections.abc import Iterator
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePath
 
 from clgs.data.images import HEIF_SUFFIXES, SUFFIXES
 from clgs.data.masks import MASK_FOLDERS, find_mask, list_masks
+from clgs.data.posed_photo import Photo
 from clgs.errors import DataError
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".mts", ".3gp")
@@ -23,6 +25,9 @@ NAME_LENGTH = 120
 
 NAMED = 5
 """Files that are named of those that are skipped for one reason."""
+
+REPORT = "report.json"
+"""Names, for each photo of a data set that clgs prepare made, the file that it was made from."""
 
 _FOREIGN_FOLDERS = (*MASK_FOLDERS, "__MACOSX", "@eaDir")
 _RUNS = ("plan.json", "progress.csv")
@@ -198,3 +203,89 @@ def new_name(below: str, taken: set[str]) -> str:
 def _plain(below: str) -> str:
     """The part of a name that the data set keeps."""
     return _UNSAFE.sub("_", below.replace("/", "_"))[-NAME_LENGTH:].lstrip(". ") or "photo.jpg"
+
+
+def read_sources(data: Path) -> dict[str, str]:
+    """Read what the photos of a data set were called in the folder that it was made from.
+
+    Returns:
+        The path below that folder, by the stem of the name in the data set, of photos with another
+        name there; empty if clgs prepare did not make the data set.
+    """
+    try:
+        photos = json.loads((data / REPORT).read_text(encoding="utf-8"))["photos"]
+        named = {Path(one["name"]).stem: one.get("source", "") for one in photos}
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return {}
+    return {stem: path for stem, path in named.items() if path and isinstance(path, str)}
+
+
+def match_photos(
+    found: Sequence[Found], posed: Sequence[Photo], sources: Mapping[str, str]
+) -> tuple[dict[int, int], list[int]]:
+    """Match the photos of a data set with files.
+
+    A photo is the same file. Else its name without suffix is the file's, and so are more of the
+    folders above it than of any other such file; if two agree in as many, the suffix decides.
+
+    Args:
+        found: the files.
+        posed: the photos of the data set.
+        sources: as of :func:`read_sources`.
+
+    Returns:
+        The number of a file by that of its photo; and the numbers of photos that may be several
+        files.
+    """
+    by_path = {one.path.resolve(): number for number, one in enumerate(found)}
+    same = {
+        number: by_path[path]
+        for number, photo in enumerate(posed)
+        if (path := photo.path.resolve()) in by_path
+    }
+    files = _by_stem((n, one.path) for n, one in enumerate(found) if n not in set(same.values()))
+    origins = [PurePath(sources.get(photo.path.stem, photo.path)) for photo in posed]
+    photos = _by_stem((n, path) for n, path in enumerate(origins) if n not in same)
+    unsure = list[int]()
+    for stem, numbers in photos.items():
+        alike = {
+            (photo, file): _alike(origins[photo], found[file].path)
+            for photo in numbers
+            for file in files.get(stem, ())
+        }
+        for photo in numbers if alike else ():
+            file = _best({other: alike[photo, other] for other in files[stem]})
+            if file is not None and _best({n: alike[n, file] for n in numbers}) == photo:
+                same[photo] = file
+            elif file is None:
+                unsure.append(photo)
+    return same, unsure
+
+
+def stem_of(path: PurePath) -> str:
+    """The name without folder, suffix and case."""
+    return path.stem.casefold()
+
+
+def _by_stem(paths: Iterable[tuple[int, PurePath]]) -> dict[str, list[int]]:
+    numbers = defaultdict[str, list[int]](list)
+    for number, path in paths:
+        numbers[stem_of(path)].append(number)
+    return numbers
+
+
+def _alike(first: PurePath, second: PurePath) -> tuple[int, bool]:
+    """How many folders right above two files are called the same, and whether the suffixes are."""
+    count = 0
+    for one, other in zip(first.parts[-2::-1], second.parts[-2::-1], strict=False):
+        if one.casefold() != other.casefold():
+            break
+        count += 1
+    return count, first.suffix.casefold() == second.suffix.casefold()
+
+
+def _best(alike: Mapping[int, tuple[int, bool]]) -> int | None:
+    """The number with the largest value; None if several have it."""
+    most = max(alike.values())
+    best = [number for number, value in alike.items() if value == most]
+    return best[0] if len(best) == 1 else None

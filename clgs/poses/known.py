@@ -23,8 +23,7 @@ from clgs.data.posed_photo import Photo, PhotoSet, from_plain, to_plain, to_y_up
 from clgs.data.programs import FILES
 from clgs.errors import DataError
 from clgs.poses.evidence import Evidence, Poses, angle, common_similarity, differences, poses_of
-from clgs.poses.find import Collection, Found, new_name
-from clgs.poses.same_photos import match_photos, read_sources, stem_of
+from clgs.poses.find import Collection, Found, match_photos, new_name, read_sources, stem_of
 from clgs.poses.workspace import Workspace
 from clgs.scene.world import EARTH, LOCAL, MAP, NOWHERE, Place
 
@@ -89,7 +88,7 @@ class Known:
 def read_known(source: Path, found: Collection) -> Known:
     """Read the poses that a data set of any program, or one of its files, has for found photos.
 
-    :func:`clgs.poses.same_photos.match_photos` says which photo is which.
+    :func:`clgs.poses.find.match_photos` says which photo is which.
 
     Raises:
         DataError: no data set, a damaged one, or one of other photos.

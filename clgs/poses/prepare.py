@@ -19,11 +19,10 @@ from clgs.errors import DataError, ExistsError, OutputError, is_full
 from clgs.files import atomic_folder, check_folder
 from clgs.poses.bring_in import LEAST_PHOTOS, bring_in, find_source
 from clgs.poses.drop import drop_doubtful as drop_doubtful_photos
-from clgs.poses.find import NAMED, Collection, shown
+from clgs.poses.find import NAMED, REPORT, Collection, shown
 from clgs.poses.known import Known, add_photos, read_known
 from clgs.poses.pycolmap_child import SEEDS
 from clgs.poses.reconstruct import reconstruct
-from clgs.poses.same_photos import REPORT
 from clgs.poses.unfinished import (
     Finished,
     digest_of,

@@ -21,7 +21,7 @@ from PIL import Image
 
 from clgs.data.images import MAX_PIXELS
 from clgs.errors import DataError
-from clgs.ffmpeg import ffmpeg_closed
+from clgs.machine import ffmpeg_closed
 
 CANDIDATES = 8
 """Frames from which one is chosen, if the video has enough."""

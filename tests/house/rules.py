@@ -10,8 +10,7 @@ from itertools import chain
 from pathlib import Path, PurePath
 
 LAYERS = [  # a package may import from its own row and the rows above it
-    {"arguments", "constants", "errors", "ffmpeg", "files", "machine"}
-    | {"options", "reference", "shapes"},
+    {"arguments", "constants", "errors", "files", "machine"} | {"options", "reference", "shapes"},
     {"opencl", "scene"},
     {"ops", "codec", "data"},
     {"render", "exports", "poses"},

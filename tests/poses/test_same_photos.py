@@ -9,8 +9,7 @@ import pytest
 from clgs.data.dataset import read_photo_set
 from clgs.data.lens import Lens
 from clgs.data.posed_photo import Photo
-from clgs.poses.find import Found, find_photos
-from clgs.poses.same_photos import REPORT, match_photos, read_sources
+from clgs.poses.find import REPORT, Found, find_photos, match_photos, read_sources
 from tests.data.folders import write_room_photos
 from tests.poses.test_find import write
 
