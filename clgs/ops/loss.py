@@ -102,7 +102,7 @@ def forward(
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
     height, width = _check(image, target)
-    across, down = _patches(device, height, width)
+    across, down = _patches(height, width)
     sums = device.empty((3 * across * down, 2))
     shift = device.empty((3 * across * down, 2))
     maps = (device.empty(image.shape), device.empty(image.shape), device.empty(image.shape))
@@ -133,7 +133,7 @@ def backward(device: Device, image: DeviceArray, target: DeviceArray, loss: Loss
         ValueError, TypeError: an array has the wrong shape or dtype.
     """
     height, width = _check(image, target)
-    across, down = _patches(device, height, width)
+    across, down = _patches(height, width)
     d_image = device.empty(image.shape)
     count = max(3 * height * width, 1)
     items = ITEMS[device.specialisation]
@@ -205,7 +205,7 @@ def _check(image: DeviceArray, target: DeviceArray) -> tuple[int, int]:
     return shapes.axes["H"], shapes.axes["W"]
 
 
-def _patches(device: Device, height: int, width: int) -> tuple[int, int]:
+def _patches(height: int, width: int) -> tuple[int, int]:
     return -(-width // PATCH_COLUMNS), -(-height // PATCH_ROWS)
 
 

@@ -198,9 +198,7 @@ def backward(
         offset=anchors.offset,
         scaling=anchors.scaling,
         **vars(d_gaussians),
-        d_output=result.d_output,
-        d_offset=result.d_offset,
-        d_scaling=result.d_scaling,
+        **vars(result),
     )
     return result
 

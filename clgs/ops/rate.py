@@ -108,7 +108,7 @@ def forward(device: Device, x: DeviceArray, q: float, form: Form = "channel") ->
             sums = _statistics(device, x, q, (sums.centre, sums.mean), limits)
             nats, table = _pooled(sums, limits)
         else:
-            # (nats of every channel, table by nats) with b = std/sqrt(2) and no limits
+            # b = std/sqrt(2), and no limits
             b = np.sqrt(0.5 * (sums.square / sums.count - sums.mean**2))
             constant = b == 0
             b = np.where(constant, 1.0, b)
@@ -204,7 +204,7 @@ def _deviation(sums: _ChannelSums) -> Values:
 
 
 def _pooled(sums: _ChannelSums, limits: Values) -> tuple[Values, Values]:
-    """The same as :func:`_per_channel`, in the form of the code of Voxel-GS."""
+    """Nats and ``Rate.table`` by nats, in the form of the code of Voxel-GS."""
     deviation = _deviation(sums)
     b = np.maximum(deviation, POOLED_MIN_SCALE)
     at_centre = _floored(cost(np.abs(sums.mean), b))

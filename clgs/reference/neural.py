@@ -8,20 +8,26 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.constants import K_OFFSETS, LOG_SCALE_LIMIT
-from clgs.reference.project import Array
+from clgs.reference.project import Array, across
 
 Indices = npt.NDArray[np.int32]
 
 
 @dataclass(frozen=True)
-class NeuralGaussians:
-    """The fields of ``clgs.ops.neural.NeuralGaussians``, float64, and ``slot``."""
+class Gaussians:
+    """The fields of ``clgs.ops.neural.Gaussians``, float64."""
 
     mean: Array
     scale: Array
     rotation: Array
     color: Array
     opacity: Array
+
+
+@dataclass(frozen=True)
+class NeuralGaussians(Gaussians):
+    """Gaussians, and ``slot`` of ``clgs.ops.neural.NeuralGaussians``."""
+
     slot: Indices
 
 
@@ -109,10 +115,8 @@ def backward(
     d_covariance = np.zeros((output.shape[1] * K_OFFSETS, 7))
     d_covariance[slot, :3] = d_log_scale * (1 - sigmoid(logits[slot]))
     unit, length = unit_quaternion(quaternion[slot])
-    across = (
-        d_gaussians.d_rotation - np.sum(d_gaussians.d_rotation * unit, axis=1, keepdims=True) * unit
-    )
-    d_covariance[slot, 3:] = np.where(length > 0, across / np.where(length > 0, length, 1), 0)
+    d_unit = across(unit, d_gaussians.d_rotation)
+    d_covariance[slot, 3:] = np.where(length > 0, d_unit / np.where(length > 0, length, 1), 0)
     d_opacity, d_color = np.zeros(len(d_covariance)), np.zeros((len(d_covariance), 3))
     d_opacity[slot], d_color[slot] = d_gaussians.d_opacity, d_gaussians.d_color
     d_offset, d_scaling = np.zeros_like(offset), np.zeros_like(scaling)

@@ -242,6 +242,11 @@ def _point_gradient(
     return d_point
 
 
+def across(unit: Array, vector: Array) -> Array:
+    """The part of each vector (N, n) at a right angle to the unit vector (N, n)."""
+    return np.asarray(vector - np.sum(unit * vector, axis=1, keepdims=True) * unit)
+
+
 def quaternion_gradient(rotation: Array, d_matrix: Array) -> Array:
     """dL/dq (N, 4): the derivative of every matrix entry by every component, contracted."""
     w, x, y, z = rotation.T

@@ -7,6 +7,7 @@ import pytest
 
 from clgs.constants import NEAR_PLANE
 from clgs.reference.general import splats as reference
+from clgs.reference.neural import Gaussians
 from tests.compare import assert_close, central_difference
 from tests.ops.cases.project import camera_at
 from tests.ops.cases.splats import gradients, stored, widen
@@ -19,7 +20,7 @@ NAMES = ("mean", "log_scale", "rotation", "opacity", "sh")
 def test_gradient(rng, which):
     values = widen(stored(rng, 6))
     wide = {n: array.astype(np.float64) for n, array in gradients(rng, 6).items()}
-    d_seen = reference.Seen(**wide)
+    d_seen = Gaussians(**wide)
 
     def objective(x):
         changed = {name: getattr(values, name) for name in NAMES} | {which: x}

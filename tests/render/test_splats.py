@@ -6,7 +6,7 @@ import pytest
 from clgs.constants import NEAR_PLANE
 from clgs.lab.kernels import blend_decisions
 from clgs.options import RenderOptions
-from clgs.reference import blend, project, tiles
+from clgs.reference import blend, neural, project, tiles
 from clgs.reference.general import splats
 from clgs.render.frame import upload_view
 from clgs.render.rasterise import rasterise, rasterise_backward
@@ -41,7 +41,7 @@ def reference(device, gaussians, frame, d_image):
     image = blend.forward(projected, *light, (72, 56), decisions).image
     drawn = blend.backward(projected, *light, decisions, d_image.astype(np.float64))
     d_shape = project.backward(shape, packed, projected, drawn.d_mean2d, drawn.d_whitening)
-    d_seen = splats.Seen(*d_shape, drawn.d_color, drawn.d_opacity)
+    d_seen = neural.Gaussians(*d_shape, drawn.d_color, drawn.d_opacity)
     return image, splats.backward(widen(gaussians), packed, d_seen)
 
 

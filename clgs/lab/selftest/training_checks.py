@@ -44,6 +44,7 @@ from clgs.reference import exposure as exposure_reference
 from clgs.reference import growth as growth_reference
 from clgs.reference import mask as mask_reference
 from clgs.reference import match as match_reference
+from clgs.reference import neural as neural_reference
 from clgs.reference import quantize as quantize_reference
 from clgs.reference import rate as rate_reference
 from clgs.reference import scan as scan_reference
@@ -266,7 +267,7 @@ def check_splats(device: Device, rng: np.random.Generator, count: int) -> Iterat
 
     names = ("mean", "scale", "rotation", "color", "opacity")
     singles = [np.ones(getattr(wanted, name).shape, np.float32) for name in names]
-    d_seen = splats_reference.Seen(*(one.astype(np.float64) for one in singles))
+    d_seen = neural_reference.Gaussians(*(one.astype(np.float64) for one in singles))
 
     def backward() -> OrdinaryGaussians[DeviceArray]:
         ones = (device.upload(one) for one in singles)

@@ -9,11 +9,12 @@ import numpy as np
 
 from clgs.reference.general.splats import (
     HARMONICS,
-    Array,
     Polynomial,
     polynomial_slopes,
     polynomials,
 )
+from clgs.reference.mlp import view_direction
+from clgs.reference.project import Array, across
 
 _F, _E = np.sqrt(35 / np.pi), np.sqrt(35 / (2 * np.pi))
 _D, _C, _A = np.sqrt(5 / np.pi), np.sqrt(5 / (2 * np.pi)), np.sqrt(1 / np.pi)
@@ -36,7 +37,7 @@ ALL = (*HARMONICS, *DEGREE_4)
 
 def forward(mean: Array, sh: Array, centre: Array, degree: int, bare: bool = False) -> Array:
     """Colors (N, 3); arguments as in ``clgs.ops.general.harmonics``, ``centre`` (3,)."""
-    direction, _ = _directions(mean, centre)
+    direction, _ = view_direction(mean, centre)
     used = (degree + 1) ** 2
     sums = np.einsum("nci,nc->ni", sh[:, :used], polynomials(ALL[:used], direction))
     return np.asarray(sums if bare else np.maximum(0.5 + sums, 0.0))
@@ -46,7 +47,7 @@ def backward(
     mean: Array, sh: Array, centre: Array, degree: int, d_color: Array, bare: bool = False
 ) -> tuple[Array, Array]:
     """Gradients by the harmonics and by the means."""
-    direction, length = _directions(mean, centre)
+    direction, length = view_direction(mean, centre)
     used = (degree + 1) ** 2
     if not bare:
         d_color = np.where(forward(mean, sh, centre, degree) > 0, d_color, 0.0)
@@ -54,11 +55,4 @@ def backward(
     d_sh[:, :used] = polynomials(ALL[:used], direction)[:, :, None] * d_color[:, None, :]
     weight = np.einsum("nci,ni->nc", sh[:, :used], d_color)
     slope = np.einsum("nc,nck->nk", weight, polynomial_slopes(ALL[:used], direction))
-    across = slope - np.sum(slope * direction, axis=1, keepdims=True) * direction
-    return d_sh, across / length
-
-
-def _directions(mean: Array, centre: Array) -> tuple[Array, Array]:
-    offset = mean - centre
-    length = np.linalg.norm(offset, axis=1, keepdims=True)
-    return offset / length, length
+    return d_sh, across(direction, slope) / length

@@ -13,8 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.constants import LOG_SCALE_LIMIT
-
-Array = npt.NDArray[np.float64]
+from clgs.reference.mlp import CENTRE, view_direction
+from clgs.reference.neural import Gaussians
+from clgs.reference.project import Array, across
 
 _PI = np.pi
 _C1, _C2, _C3 = np.sqrt(3 / (4 * _PI)), np.sqrt(15 / (4 * _PI)), np.sqrt(35 / (32 * _PI))
@@ -56,25 +57,9 @@ class Stored:
     sh: Array
 
 
-@dataclass(frozen=True)
-class Seen:
-    """The fields of ``clgs.ops.neural.Gaussians``, float64."""
-
-    mean: Array
-    scale: Array
-    rotation: Array
-    color: Array
-    opacity: Array
-
-
 def basis(direction: Array, count: int) -> Array:
     """(N, count) values of the first functions in unit directions (N, 3)."""
     return polynomials(HARMONICS[:count], direction)
-
-
-def basis_slopes(direction: Array, count: int) -> Array:
-    """(N, count, 3) derivatives of the polynomials by x, y and z."""
-    return polynomial_slopes(HARMONICS[:count], direction)
 
 
 def polynomials(functions: Sequence[Polynomial], direction: Array) -> Array:
@@ -91,10 +76,10 @@ def polynomial_slopes(functions: Sequence[Polynomial], direction: Array) -> Arra
     return np.stack(slopes, axis=1)
 
 
-def forward(stored: Stored, camera: npt.NDArray[np.floating]) -> Seen:
+def forward(stored: Stored, camera: npt.NDArray[np.floating]) -> Gaussians:
     """N Gaussians with the colors that a camera, ``Camera.pack``, sees."""
-    direction, _ = _directions(stored.mean, camera)
-    return Seen(
+    direction, _ = view_direction(stored.mean, np.asarray(camera[CENTRE], np.float64))
+    return Gaussians(
         stored.mean,
         np.exp(np.clip(stored.log_scale, -LOG_SCALE_LIMIT, LOG_SCALE_LIMIT)),
         stored.rotation / np.linalg.norm(stored.rotation, axis=1, keepdims=True),
@@ -103,19 +88,19 @@ def forward(stored: Stored, camera: npt.NDArray[np.floating]) -> Seen:
     )
 
 
-def backward(stored: Stored, camera: npt.NDArray[np.floating], d_seen: Seen) -> Stored:
+def backward(stored: Stored, camera: npt.NDArray[np.floating], d_seen: Gaussians) -> Stored:
     """Gradients by the stored arrays from those by what :func:`forward` returned."""
     seen = forward(stored, camera)
-    direction, length = _directions(stored.mean, camera)
+    direction, length = view_direction(stored.mean, np.asarray(camera[CENTRE], np.float64))
     count = stored.sh.shape[1]
     d_color = np.where(_colors(stored.sh, direction) > 0, d_seen.color, 0.0)
     weight = np.einsum("nci,ni->nc", stored.sh, d_color)
-    d_direction = np.einsum("nc,nck->nk", weight, basis_slopes(direction, count))
+    d_direction = np.einsum("nc,nck->nk", weight, polynomial_slopes(HARMONICS[:count], direction))
     inside = np.abs(stored.log_scale) <= LOG_SCALE_LIMIT
     return Stored(
-        d_seen.mean + _across(direction, d_direction) / length,
+        d_seen.mean + across(direction, d_direction) / length,
         np.where(inside, d_seen.scale * seen.scale, 0.0),
-        _across(seen.rotation, d_seen.rotation)
+        across(seen.rotation, d_seen.rotation)
         / np.linalg.norm(stored.rotation, axis=1, keepdims=True),
         d_seen.opacity * seen.opacity * (1 - seen.opacity),
         basis(direction, count)[:, :, None] * d_color[:, None, :],
@@ -125,18 +110,6 @@ def backward(stored: Stored, camera: npt.NDArray[np.floating], d_seen: Seen) -> 
 def _colors(sh: Array, direction: Array) -> Array:
     """Before they are clamped."""
     return np.asarray(0.5 + np.einsum("nci,nc->ni", sh, basis(direction, sh.shape[1])))
-
-
-def _directions(mean: Array, camera: npt.NDArray[np.floating]) -> tuple[Array, Array]:
-    """Unit vectors (N, 3) from the camera's centre, and the distances (N, 1)."""
-    offset = mean - np.asarray(camera, np.float64)[23:26]
-    length = np.linalg.norm(offset, axis=1, keepdims=True)
-    return offset / length, length
-
-
-def _across(unit: Array, vector: Array) -> Array:
-    """The part of each vector at a right angle to the unit vector."""
-    return np.asarray(vector - np.sum(unit * vector, axis=1, keepdims=True) * unit)
 
 
 def _evaluate(polynomial: Polynomial, direction: Array) -> Array:

@@ -17,7 +17,9 @@ from clgs.reference.project import (
     Array,
     Projected,
     UnpackedCamera,
+    across,
     covariance_gradient,
+    jacobian,
     quaternion_gradient,
     rotation_matrix,
     unpack,
@@ -72,8 +74,7 @@ def shape_gradients(scale: Array, rotation: Array, d_covariance: Array) -> tuple
     matrix = rotation_matrix(unit)
     d_axes = 2 * d_covariance @ (matrix * scale[:, None, :])
     d_unit = quaternion_gradient(unit, d_axes * scale[:, None, :])
-    across = d_unit - np.sum(d_unit * unit, axis=1, keepdims=True) * unit
-    return np.sum(d_axes * matrix, axis=1), across / norm
+    return np.sum(d_axes * matrix, axis=1), across(unit, d_unit) / norm
 
 
 def forward(
@@ -163,19 +164,15 @@ def _see(view: UnpackedCamera, mean: Array, covariance: Array, lens: CameraModel
     point = mean @ view.rotation.T + view.translation
     matrix, free = np.zeros((len(point), 2, 3)), np.ones((len(point), 2), bool)
     if lens.model == "fisheye":
-        b, across = _bend(point), point[:, :2]
+        b, aside = _bend(point), point[:, :2]
         matrix[:, :, :2] = b.factor[:, None, None] * np.eye(2)
-        matrix[:, :, :2] += b.first[:, None, None] * across[:, :, None] * across[:, None, :]
-        matrix[:, :, 2] = -across / np.sum(point**2, axis=1)[:, None]
+        matrix[:, :, :2] += b.first[:, None, None] * aside[:, :, None] * aside[:, None, :]
+        matrix[:, :, 2] = -aside / np.sum(point**2, axis=1)[:, None]
         matrix *= view.focal[:, None]
     elif lens.model == "ortho":
         matrix[:, [0, 1], [0, 1]] = view.focal
     else:
-        slope = point[:, :2] / point[:, 2:]
-        clamped = np.clip(slope, view.limits[:, 0], view.limits[:, 1])
-        free = clamped == slope
-        matrix[:, [0, 1], [0, 1]] = view.focal / point[:, 2:]
-        matrix[:, :, 2] = -view.focal * clamped / point[:, 2:]
+        matrix, free = jacobian(view, point)
     transform = matrix @ view.rotation
     return _Seen(point, matrix, free, transform @ covariance @ transform.transpose(0, 2, 1))
 

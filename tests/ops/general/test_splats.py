@@ -10,6 +10,7 @@ import pytest
 from clgs.constants import NEAR_PLANE
 from clgs.ops.general import splats
 from clgs.reference.general import splats as reference
+from clgs.reference.neural import Gaussians
 from clgs.scene.gaussians import OrdinaryGaussians
 from tests.compare import assert_close, relative_l2
 from tests.ops.cases.project import camera_at
@@ -52,7 +53,7 @@ def test_backward_agrees_with_reference(device, rng, degree):
     gaussians.log_scale[5] = 25.0  # beyond the clamp: no gradient
     uploaded, camera, seen = run_forward(device, gaussians)
     found = splats.backward(device, uploaded, camera, seen, on_device(device, d_seen))
-    wide = reference.Seen(**{name: array.astype(np.float64) for name, array in d_seen.items()})
+    wide = Gaussians(**{name: array.astype(np.float64) for name, array in d_seen.items()})
     wanted = reference.backward(widen(gaussians), PACKED, wide)
     # a color near 0 may be clamped in one and not in the other
     sure = np.abs(device.download(seen.color) - 0).min(axis=1) > 1e-4
