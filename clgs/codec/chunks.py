@@ -138,8 +138,7 @@ def pack_rows(chunk: int, shared: list[int], crcs: list[int], rows: Rows) -> byt
     groups, sums = [], np.empty((0, COLUMNS), np.int64)
     for start in range(0, len(rows), GROUP):
         own = slice(start, start + GROUP)
-        part = rows[own]
-        total = _join(part)
+        part, total = rows[own], _join(rows[own])
         both = [*crcs[: len(rows)][own], *crcs[len(rows) :][own]]
         groups.append(struct.pack(f"<{2 * len(part)}I", *both) + _encode_rows(part, total))
         sums = np.concatenate([sums, total[None]])
@@ -367,11 +366,16 @@ def unpack_details(data: bytes | memoryview, chunks: int, begin: int) -> Details
 def round_attributes(anchors: QuantizedAnchors) -> tuple[QuantizedAnchors, int]:
     """The anchors with all but positions rounded to multiples of a step, and this step."""
     arrays = [array for name, array in anchors.items() if name != "position"]
-    step = (
-        STEP if all(-MAX_VALUE < array.min() <= array.max() < MAX_VALUE for array in arrays) else 1
-    )
+    small = all(-MAX_VALUE < array.min() <= array.max() < MAX_VALUE for array in arrays)
+    step = STEP if small else 1
     rounded = ((array + step // 2) // step * step for array in arrays)
     return QuantizedAnchors(anchors.position, *rounded), step
+
+
+def attribute_rows(anchors: QuantizedAnchors) -> dict[str, npt.NDArray[np.int32]]:
+    """The rows of each section of attributes; those that take longest to code come first."""
+    offset = anchors.offset.reshape(len(anchors), anchors.offset.shape[1] * 3)
+    return {FEAT: anchors.feature, OFFS: offset, SCAL: anchors.scaling}
 
 
 def times(coarse: npt.NDArray[np.int32], step: int) -> npt.NDArray[np.int32]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import pairwise
@@ -16,7 +16,7 @@ from clgs import _codec
 from clgs.arguments import check_integer
 from clgs.codec import octree
 from clgs.codec.attribute_model import NearRows
-from clgs.codec.chunks import Chunk, interleave, times
+from clgs.codec.chunks import Chunk, attribute_rows, interleave, times
 from clgs.codec.http_source import BrokenConnectionError, HttpSource
 from clgs.codec.meta import array_hash, content_arrays, content_hash, join_hashes
 from clgs.codec.reader import CHANNELS, SceneReader
@@ -27,7 +27,6 @@ from clgs.codec.sections import (
     FEAT,
     LAYR,
     META,
-    OFFS,
     SCAL,
     BytesSource,
     RandomAccess,
@@ -95,7 +94,7 @@ def decode(
             if content_hash(take(anchors, slice(*rows)), weights) != layer.content_hash:
                 raise reader.error(LAYR, f"the integers of layer {number} do not match their hash")
         if chosen.details:
-            anchors = _add_details(reader, chunks, anchors, pool)
+            _add_details(reader, chunks, anchors, pool)
         anchors = _in_order(reader, anchors)
         if not chosen.whole:
             return reader.scene(anchors, weights)
@@ -210,7 +209,7 @@ def decode_box(
         if chosen.details:
             try:
                 reader.fetch(filled, details=True)
-                anchors = _add_details(reader, filled, anchors, pool)
+                _add_details(reader, filled, anchors, pool)
             except BrokenConnectionError as error:
                 there, count = chosen.count - 1, reader.layer_count
                 warnings.warn(f"{error}; {_coarser(there, count)}", stacklevel=3)
@@ -253,7 +252,10 @@ def _decode_rows(
         raise reader.error(CHNK, "the chunks are not in Morton order")
     spans = [slice(*ends) for ends in pairwise(np.cumsum([0, *map(len, positions)]).tolist())]
     streams = [reader.streams(chunk) for chunk in chunks]
-    rows = {tag: np.empty((len(position), CHANNELS[tag]), np.int32) for tag in CHANNELS}
+    offset = np.empty((len(position), K_OFFSETS, 3), np.int32)
+    feature, scaling = (np.empty((len(position), CHANNELS[t]), np.int32) for t in (FEAT, SCAL))
+    anchors = QuantizedAnchors(position, offset, feature, scaling)
+    rows = attribute_rows(anchors)
     near = NearRows(position, spans)
     step = reader.details.step if reader.details else 1
 
@@ -266,31 +268,24 @@ def _decode_rows(
             except ValueError as error:
                 raise stream.error(f"chunk {chunks[i].number}: {error}") from error
 
-    tasks: list[Future[None]] = []
-    for tag in (FEAT, OFFS, SCAL):
-        model = reader.model(tag)
-        tasks += [pool.submit(fill, tag, model, batch) for batch in octree.batches(spans)]
+    batches = octree.batches(spans)
+    models = {tag: reader.model(tag) for tag in rows}
+    tasks = [pool.submit(fill, tag, models[tag], batch) for tag in rows for batch in batches]
     for task in tasks:
         task.result()
-    offset = rows[OFFS].reshape(-1, K_OFFSETS, 3)
-    return QuantizedAnchors(position, offset, rows[FEAT], rows[SCAL])
+    return anchors
 
 
 def _add_details(
-    reader: SceneReader, chunks: list[Chunk], coarse: QuantizedAnchors, pool: ThreadPoolExecutor
-) -> QuantizedAnchors:
-    """``coarse``, the anchors of ``chunks``, with their details; CodecError if one is damaged."""
+    reader: SceneReader, chunks: list[Chunk], anchors: QuantizedAnchors, pool: ThreadPoolExecutor
+) -> None:
+    """Add to ``anchors``, in place, the details of their ``chunks``; CodecError if one is bad."""
     assert reader.details is not None
     step = reader.details.step
-    ends = np.cumsum([0, *map(len, chunks)]).tolist()
-    spans = [slice(*pair) for pair in pairwise(ends)]
-    near = NearRows(coarse.position, spans)
+    spans = [slice(*ends) for ends in pairwise(np.cumsum([0, *map(len, chunks)]).tolist())]
+    near = NearRows(anchors.position, spans)
     streams = [reader.detail_streams(chunk) for chunk in chunks]
-    rows = {
-        FEAT: coarse.feature,
-        OFFS: coarse.offset.reshape(-1, 3 * K_OFFSETS),
-        SCAL: coarse.scaling,
-    }
+    rows = attribute_rows(anchors)
 
     def add(tag: str, model: RowModel, batch: range) -> None:
         for i in batch:
@@ -307,8 +302,6 @@ def _add_details(
     tasks = [pool.submit(add, tag, models[tag], batch) for tag in rows for batch in batches]
     for task in tasks:
         task.result()
-    offset = rows[OFFS].reshape(-1, K_OFFSETS, 3)
-    return QuantizedAnchors(coarse.position, offset, rows[FEAT], rows[SCAL])
 
 
 def describe(data: bytes) -> dict[str, Any]:

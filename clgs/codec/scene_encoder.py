@@ -18,6 +18,7 @@ from clgs.codec.chunks import (
     MIN_CHUNK,
     STEP,
     TAGS,
+    attribute_rows,
     interleave,
     pack_details,
     pack_directory,
@@ -246,12 +247,6 @@ def _split(
     """The coarse values of ``rows``; and, by DETAILS, these next to what is left of them."""
     coarse = {tag: array // step for tag, array in rounded.items()}
     return coarse, {DETAILS[tag]: interleave(coarse[tag], rows[tag] - rounded[tag]) for tag in rows}
-
-
-def attribute_rows(anchors: QuantizedAnchors) -> dict[str, npt.NDArray[np.int32]]:
-    """The rows of each section of attributes; those that take longest to code come first."""
-    offset = anchors.offset.reshape(len(anchors), anchors.offset.shape[1] * 3)
-    return {FEAT: anchors.feature, OFFS: offset, SCAL: anchors.scaling}
 
 
 def check_options(
