@@ -34,11 +34,6 @@ def camera_of(width: int, height: int) -> Camera:
     return Camera(np.eye(3), place, focal, focal, width / 2, height / 2, width, height)
 
 
-def square_camera(size: int) -> Camera:
-    """A camera like :func:`camera_of` with ``size`` x ``size`` pixels."""
-    return camera_of(size, size)
-
-
 def anchor_scene(
     gaussians: int, size: int | tuple[int, int], seed: int = 0
 ) -> tuple[Scene, Camera]:

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from clgs.constants import FEATURE_DIM, HEAD_DIMS, HIDDEN_DIM, INPUT_DIM, K_OFFSETS, OUTPUT_DIM
 from clgs.lab.bench.ops import measure_limits
 from clgs.lab.figures import take_turns
-from clgs.lab.scenes import square_camera
+from clgs.lab.scenes import camera_of
 from clgs.opencl.device import Device
 from clgs.ops import mlp
 from clgs.options import DEFAULT, RenderOptions, Skips
@@ -64,7 +64,7 @@ def make_case(count: int) -> Case:
         rng.uniform(-1, 1, (count, 3)).astype(np.float32),
         np.arange(count, dtype=np.int32),
         init_mlps(rng).flat,
-        square_camera(400),
+        camera_of(400, 400),
     )
 
 

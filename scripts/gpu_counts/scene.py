@@ -128,12 +128,10 @@ def _group(global_size: Sequence[int]) -> tuple[int, ...]:
 
 
 def units(device: Device, trainer: Any) -> dict[str, int]:
-    """How much of everything a step has; pairs are those that the kernels look at."""
+    """How much of everything a step has; pairs are those that the forward kernel looks at."""
     frame = trainer.render_next()
     held = frame.needed(device)
-    forward, backward = count_pairs(
-        device, frame.blended, device.zeros((3, frame.view.size[1], frame.view.size[0]))
-    )
+    forward, _ = count_pairs(device, frame.blended, device.zeros(frame.image.shape))
     tensors = [array for _, array in trainer.parameters.scene.items()]
     return {
         "anchors": trainer.parameters.count,
@@ -141,11 +139,7 @@ def units(device: Device, trainer: Any) -> dict[str, int]:
         "Gaussians": held.gaussians,
         "entries": held.entries,
         "pairs forward": forward.visited,
-        "pairs backward": backward.visited,
-        "pixels": frame.view.size[0] * frame.view.size[1],
-        "tiles": len(frame.blended.tiles.tile_range) - 1,
         "parameters": sum(int(array.size) for array in tensors),
-        "steps": 1,
     }
 
 

@@ -23,12 +23,8 @@ UNITS: dict[str, tuple[str, ...]] = {
     "neural": ("Gaussians",),
     "project": ("Gaussians",),
     "scan_fits": ("launches",),
-    "scan_spine": ("launches", "count"),
     "scan": ("count", "groups squared"),
-    "sort_choose": ("Gaussians",),
-    "sort_end": ("launches",),
     "sort": ("count", "groups squared"),
-    "tiles_pad_entries": ("entries",),
     "tiles_ranges": ("entries",),
     "tiles": ("Gaussians",),
 }

@@ -20,7 +20,7 @@ from clgs.data.splats.integer_splats import read_splats
 from clgs.data.splats.ply import PlyTable, pack_ply
 from clgs.errors import ClgsError
 from clgs.exports import page
-from clgs.lab.scenes import square_camera
+from clgs.lab.scenes import camera_of
 from clgs.render.renderer import render_view
 from clgs.scene.camera import PhotoRange
 from clgs.scene.scene import IDENTITY
@@ -320,7 +320,7 @@ def test_colors_are_shown_as_they_are(browser, tmp_path):
     file.write_bytes(page.scene_page(pack(grey_wall()), "wall"))
     browser.load(file, SIZE, "s.ready")
     # 0.5 - 0.2821 = 0.2179; twice alpha 0.99 leaves 1/10,000 of the black behind
-    assert (show(browser, square_camera(SIZE))[40:56, 40:56] == 56).all()
+    assert (show(browser, camera_of(SIZE, SIZE))[40:56, 40:56] == 56).all()
     assert browser.errors == []
 
 

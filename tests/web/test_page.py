@@ -12,7 +12,7 @@ from clgs.codec.scene_decoder import decode
 from clgs.codec.scene_encoder import encode
 from clgs.errors import ClgsError
 from clgs.exports import page
-from clgs.lab.scenes import square_camera
+from clgs.lab.scenes import camera_of
 from tests.small_scene import write_scene
 from tests.web.scenes import quantized_scene
 
@@ -54,7 +54,7 @@ def test_a_page_loads_nothing(decoder, data):
 
 
 def test_a_start_looks_where_the_cameras_look():
-    first = square_camera(40)  # 4 before the origin
+    first = camera_of(40, 40)  # 4 before the origin
     start = page.start_at(first, [first, turned(1.0), turned(-1.0)])
     np.testing.assert_allclose(start.eye, [0, 0, -4], atol=1e-6)
     np.testing.assert_allclose(start.target, [0, 0, 0], atol=1e-4)
@@ -67,7 +67,7 @@ def turned(angle):
     from dataclasses import replace
 
     turn = [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
-    return replace(square_camera(40), rotation=np.array(turn))
+    return replace(camera_of(40, 40), rotation=np.array(turn))
 
 
 def test_the_command_writes_a_page(decoder, data, tmp_path, capsys, refusal):

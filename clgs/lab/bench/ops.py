@@ -152,8 +152,7 @@ FORMULAS: dict[str, Formula] = {
 
 def count_work(device: Device, frame: Frame, scene: DeviceScene, elements: int) -> Counts:
     """The counts of a render; blended pairs are those that the blend kernel itself reports."""
-    shape = (3, frame.view.size[1], frame.view.size[0])
-    made = blend_decisions(device, frame.blended, device.zeros(shape))[0]
+    made = blend_decisions(device, frame.blended, device.zeros(frame.image.shape))[0]
     held = frame.needed(device)
     return Counts(
         A=len(scene.anchors),

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clgs.cli.tell import tell
-from clgs.lab.bench.step import stream_times, trainer_of
+from clgs.lab.bench.step import stream, trainer_of
 from clgs.lab.figures import (
     PANEL,
     STYLE,
@@ -20,7 +20,7 @@ from clgs.lab.figures import (
     show_table,
     write_figures,
 )
-from clgs.lab.scenes import anchor_scene, square_camera
+from clgs.lab.scenes import anchor_scene, camera_of
 from clgs.opencl.device import Device
 from clgs.scene.camera import Camera
 from clgs.scene.scene import Scene
@@ -122,15 +122,15 @@ def bench_scaling(
         by_gaussians.append(time_size(open_device(), scene, camera, repeats))
         report(f"{count:,} Gaussians: {by_gaussians[-1].milliseconds:.1f} ms")
     by_pixels = []
-    scene, _ = anchor_scene(FIXED_GAUSSIANS, FIXED_SIZE)
+    scene, camera = anchor_scene(FIXED_GAUSSIANS, FIXED_SIZE)
     for size in sizes:
-        by_pixels.append(time_size(open_device(), scene, square_camera(size), repeats))
+        by_pixels.append(time_size(open_device(), scene, camera_of(size, size), repeats))
         report(f"{size} x {size} pixels: {by_pixels[-1].milliseconds:.1f} ms")
     by_intersections = []
     for factor in GROWTHS:
         larger = scene.anchors.scaling + np.float32(np.log(factor))
         grown = replace(scene, anchors=replace(scene.anchors, scaling=larger))
-        by_intersections.append(time_size(open_device(), grown, square_camera(FIXED_SIZE), repeats))
+        by_intersections.append(time_size(open_device(), grown, camera, repeats))
         report(f"Gaussians {factor} times as large: {by_intersections[-1].milliseconds:.1f} ms")
     return Scaling(
         by_gaussians,
@@ -149,10 +149,10 @@ def bench_scaling(
 def time_size(device: Device, scene: Scene, camera: Camera, repeats: int) -> Run:
     """Time steps of one size on a new device, and read how much memory they needed."""
     trainer = trainer_of(device, scene, camera)
-    times = stream_times(trainer, LEAST_REPEATS)
+    times = [by_clock for by_clock, _ in stream(trainer, LEAST_REPEATS)]
     more = min(repeats, round(1e3 * SECONDS / median(times))) - LEAST_REPEATS
     if more > 0:
-        times += stream_times(trainer, more)
+        times += [by_clock for by_clock, _ in stream(trainer, more)]
     peak = device.reserved_bytes
     held = trainer.render_next().needed(device)
     pixels = camera.width * camera.height

@@ -128,11 +128,6 @@ def stream(trainer: Trainer, repeats: int) -> list[tuple[float, float]]:
     return times[WARM_UP:]
 
 
-def stream_times(trainer: Trainer, repeats: int) -> list[float]:
-    """Like :func:`stream`, but by the clock alone."""
-    return [milliseconds for milliseconds, _ in stream(trainer, repeats)]
-
-
 def kernel_times(trainer: Trainer, repeats: int) -> dict[str, float]:
     """Median milliseconds of a step by kernel, by the clock of the device."""
     found: dict[str, list[float]] = {}

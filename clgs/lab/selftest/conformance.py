@@ -87,8 +87,9 @@ def _fingerprint(scene: str, stage: str, name: str, values: npt.NDArray[Any]) ->
 
 def _render_tensors(device: Device, one: ConformanceScene) -> Iterator[Tensor]:
     scene = upload_scene(device, one.scene)
-    frame = rasterise(device, scene, upload_view(device, one.camera, one.scene.settings))
-    yield "camera", "packed", device.download(frame.view.camera)
+    view = upload_view(device, one.camera, one.scene.settings)
+    frame = rasterise(device, scene, view)
+    yield "camera", "packed", device.download(view.camera)
     visible = device.download(frame.activations.visible)
     yield "cull", "visible", visible
     yield "mlp forward", "output", drawn_output(device, frame.activations)
@@ -106,10 +107,7 @@ def _render_tensors(device: Device, one: ConformanceScene) -> Iterator[Tensor]:
     yield "loss backward", "d_image", device.download(d_image)
     yield from _backward_tensors(device, scene, frame, d_image)
     for name, accuracy in PRESETS.items():
-        options = RenderOptions(accuracy)
-        again = rasterise(
-            device, scene, upload_view(device, one.camera, one.scene.settings), options
-        )
+        again = rasterise(device, scene, view, RenderOptions(accuracy))
         yield f"render ({name})", "image", device.download(again.image)
 
 

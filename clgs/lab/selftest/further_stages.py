@@ -184,8 +184,8 @@ def file_tensors(device: Device, one: ConformanceScene) -> Iterator[Tensor]:
     view = upload_view(device, one.camera, one.scene.settings)
     frame = rasterise(device, stored, view)
     assert frame.gaussians is not None
-    yield from named(device, "splats forward", frame.gaussians, "scale", "rotation", "color")
-    yield "splats forward", "opacity", device.download(frame.gaussians.opacity)
+    names = ("scale", "rotation", "color", "opacity")
+    yield from named(device, "splats forward", frame.gaussians, *names)
     for name, screen in SCREENS.items():
         seen = project.forward(device, frame.gaussians, view.camera, screen=screen)
         yield from named(device, name, seen, "whitening", "extent", "opacity")

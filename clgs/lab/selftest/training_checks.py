@@ -10,7 +10,7 @@ import numpy as np
 
 from clgs.constants import FEATURE_DIM, K_OFFSETS, NEAR_PLANE, OUTPUT_DIM
 from clgs.lab.figures import finished_times
-from clgs.lab.scenes import square_camera
+from clgs.lab.scenes import camera_of
 from clgs.lab.selftest.rasteriser_checks import check_channels, check_harmonics, check_views
 from clgs.lab.selftest.reference_render import (
     Check,
@@ -256,7 +256,7 @@ def check_splats(device: Device, rng: np.random.Generator, count: int) -> Iterat
     stored = OrdinaryGaussians(*(value.astype(np.float32) for value in values))
     stored.sh[:, 0] += 3  # no color is near 0, where its gradient has a step
     uploaded = stored.map(device.upload)
-    packed = square_camera(64).pack(NEAR_PLANE)
+    packed = camera_of(64, 64).pack(NEAR_PLANE)
     camera = device.upload(packed)
     forward = partial(splats.forward, device, uploaded, camera)
     seen = forward()

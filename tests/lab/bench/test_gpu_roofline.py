@@ -97,7 +97,7 @@ def test_the_longest_name_tells_the_unit():
 def state(factor):
     """A step of one kernel in two sizes, and a bench ten times as large as the larger one."""
 
-    def scene(gaussians, pixels):
+    def scene(gaussians):
         launch = {"items": 256 * gaussians, "group": 256, "count": gaussians}
         sums = {
             **NOTHING,
@@ -110,12 +110,12 @@ def state(factor):
             "local_ideal_wavefronts": 20 * gaussians,
         }
         kernels = {"project forward: project_forward": {"launches": [launch], "sums": sums}}
-        return {"kernels": kernels, "units": {"Gaussians": gaussians, "pixels": pixels}}
+        return {"kernels": kernels, "units": {"Gaussians": gaussians}}
 
-    bench = scene(1000, 10_000)
+    bench = scene(1000)
     for each in bench["kernels"].values():
         del each["sums"]
-    scenes = {"small": scene(50, 500), "large": scene(100, 1000)}
+    scenes = {"small": scene(50), "large": scene(100)}
     return {"scenes": scenes, "elements": {}, "benches": {"bench": bench}}
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from clgs.data.images import Pixels
 from clgs.data.view import PhotoMemory, StoredPhoto, View
-from clgs.lab.scenes import square_camera
+from clgs.lab.scenes import camera_of
 from clgs.train.config import preset
 from clgs.train.step.look import TrainingPhotos
 from clgs.train.step.schedule import reduction
@@ -19,7 +19,7 @@ from clgs.train.step.schedule import reduction
 def view(rng):
     image = rng.integers(0, 256, (16, 16, 3)).astype(np.uint8)
     pixels = Pixels(image, rng.integers(0, 256, (16, 16)).astype(np.uint8))
-    return View("photo", square_camera(16), StoredPhoto.of(pixels))
+    return View("photo", camera_of(16, 16), StoredPhoto.of(pixels))
 
 
 def test_photos_are_composited_on_a_fixed_background(cpu, view, rng):
