@@ -44,8 +44,8 @@ KERNELS = Path(os.environ.get("CLGS_TEST_KERNELS", ROOT / "build" / "test_kernel
 
 STRESS = {
     "project": ("geometry", "tiers"), "tiles": ("order",), "sort": ("order",),
-    "blend": ("blending", "tiers"), "scan": ("counts",), "adam": ("sums",), "loss": ("sums",),
-    "rate": ("sums",), "neural": ("poison",), "mlp": ("tiers",),
+    "blend": ("blending", "counts", "poison", "tiers"), "scan": ("counts",), "adam": ("sums",),
+    "loss": ("sums",), "rate": ("sums",), "neural": ("poison",), "mlp": ("tiers",),
 }  # fmt: skip
 """Files of tests/stress that judge a stage in addition to its own tests."""
 

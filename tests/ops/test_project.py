@@ -159,24 +159,6 @@ def test_poison_stays_in_its_row(device, rng, slot, poison):
         assert np.isfinite(device.download(array)[others]).all()
 
 
-def test_near_plane_is_exact(device):
-    """N07: z must exceed the near plane; the value itself and the next below are culled."""
-    near = np.float32(NEAR_PLANE)
-    depths = np.array(
-        [-1, 0, 1e-30, np.nextafter(near, 0), near, np.nextafter(near, np.float32(1)), 1],
-        np.float32,
-    )
-    camera = camera_at()
-    camera = type(camera)(np.eye(3), np.zeros(3), 10.0, 10.0, 160.0, 120.0, 320, 240)
-    values = gaussians(np.random.default_rng(0), len(depths))
-    values["mean"][:] = 0
-    values["mean"][:, 2] = depths
-    values["opacity"][:] = 0.5
-    projected = run_forward(device, values, camera.pack(NEAR_PLANE))[2]
-    drawn = device.download(projected.extent)[:, 0] > 0
-    assert drawn.tolist() == [False] * 5 + [True] * 2
-
-
 def test_no_gaussians(device):
     values = {name: value[:0] for name, value in gaussians(np.random.default_rng(0), 1).items()}
     projected = run_forward(device, values, camera_at().pack(NEAR_PLANE))[2]

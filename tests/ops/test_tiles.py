@@ -82,27 +82,6 @@ def test_rows_of_a_gaussian_are_contiguous(device, rng):
     assert np.array_equal(owner, np.repeat(np.arange(300), np.diff(lists["row_range"])))
 
 
-def test_permuted_input_gives_the_same_image(device, rng):
-    """N22."""
-    scene = projected_scene(rng, 900, 70, 70, 3.0)
-    depth = np.float32(10.0) ** rng.uniform(-6, 6, 900).astype(np.float32)
-    scene = replace(scene, depth=depth)
-    shuffle = rng.permutation(900)
-    shuffled = ProjectedScene(**{name: array[shuffle] for name, array in vars(scene).items()})
-    images = [render(device, one, (70, 70)).host("image") for one in (scene, shuffled)]
-    assert np.array_equal(*images)
-
-
-@pytest.mark.parametrize("size", [(65536, 16)])
-def test_tile_numbers_need_more_than_16_bits(device, size):
-    """N20: a splat in the last tile."""
-    scene = projected_scene(np.random.default_rng(0), 1, 1, 1)
-    scene = replace(scene, mean2d=np.float32([[size[0] - 3, size[1] - 3]]))
-    lists = on_host(device, lists_of(device, scene, size))
-    assert lists["tile_range"][-1] == 1
-    assert np.all(lists["tile_range"][:-1] == 0)
-
-
 @pytest.mark.parametrize("size", [(1, 1), (40, 1), (17, 33)])
 @pytest.mark.parametrize("count", [0, 65])
 def test_small_images_and_scenes(device, rng, size, count):

@@ -9,11 +9,10 @@ import pytest
 
 from clgs import _codec
 from clgs.codec import chunks, octree
-from clgs.codec.scene_decoder import decode, decode_box, describe
+from clgs.codec.scene_decoder import EVERYWHERE, decode, decode_box, describe
 from clgs.codec.scene_encoder import encode
 from clgs.codec.sections import BytesSource, read_table
 from clgs.errors import CodecError
-from clgs.scene.region import Box
 from codec_c.reader.coding import xxh64
 from tests.codec.container.damage import checked, contents, directory, rebuilt, unpack_rows
 from tests.codec.scenes import GOLDEN, assert_same
@@ -103,8 +102,7 @@ def test_chunks_have_checksums_of_their_own(at):
     if at >= 4:
         places = r"sections OFFS at byte \d+, FEAT at byte \d+, SCAL"
         what = "the checksum that all of them share differs"
-    everything = Box((-np.inf,) * 3, (np.inf,) * 3)
-    for read in (decode, lambda data: decode_box(BytesSource(data), everything)):
+    for read in (decode, lambda data: decode_box(BytesSource(data), EVERYWHERE)):
         with pytest.raises(CodecError, match=rf"^{places} at byte \d+: chunk {at % 4}: {what};"):
             read(changed(change))
 
@@ -117,9 +115,8 @@ def test_damage_is_told_by_the_section_or_by_all_that_share_a_checksum(tag):
     data[entry.offset + entry.length - 1] ^= 1
     with pytest.raises(CodecError, match=rf"^section {tag} at byte \d+: checksum differs"):
         decode(bytes(data))
-    everything = Box((-np.inf,) * 3, (np.inf,) * 3)
     with pytest.raises(CodecError, match=r"^sections OFFS at .*, FEAT at .*, SCAL at .*: chunk \d"):
-        decode_box(BytesSource(bytes(data)), everything)
+        decode_box(BytesSource(bytes(data)), EVERYWHERE)
 
 
 @pytest.mark.parametrize("tag", chunks.TAGS)

@@ -12,11 +12,10 @@ from clgs import _codec
 from clgs.codec import chunks
 from clgs.codec.attribute_model import KNOWN, empty_model
 from clgs.codec.chunks import pack_rows
-from clgs.codec.scene_decoder import decode, decode_box, describe
+from clgs.codec.scene_decoder import EVERYWHERE, decode, decode_box, describe
 from clgs.codec.scene_encoder import encode
 from clgs.codec.sections import BODY, DETL, LAYR, BytesSource, write_container
 from clgs.errors import CodecError
-from clgs.scene.region import Box
 from tests.codec.container.damage import (
     ENTRY,
     HEAD,
@@ -31,7 +30,6 @@ from tests.codec.container.mutations import ROOM
 from tests.codec.scenes import GOLDEN
 
 GOLD = (GOLDEN / "details.clgs").read_bytes()
-EVERYWHERE = Box((-np.inf,) * 3, (np.inf,) * 3)
 CHANNELS = {"OFFS": 30, "FEAT": 50, "SCAL": 6}
 CHUNKS = unpack_rows(contents(GOLD)["CHNK"])[-1]
 BEGIN = int(CHUNKS[:, 7:].sum())

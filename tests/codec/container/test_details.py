@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from clgs.codec import attribute_search
 from clgs.codec.attribute_model import SIDED
 from clgs.codec.reader import SceneReader
-from clgs.codec.scene_decoder import decode, decode_box, describe
+from clgs.codec.scene_decoder import EVERYWHERE, decode, decode_box, describe
 from clgs.codec.scene_encoder import encode, sort_anchors
 from clgs.codec.sections import BytesSource, FileSource, read_table
 from clgs.codec.smaller import choose_layers
@@ -27,7 +27,6 @@ from tests.codec.samples import INT32
 from tests.codec.scenes import GOLDEN, assert_same, random_scene
 
 GOLD = (GOLDEN / "details.clgs").read_bytes()
-EVERYWHERE = Box((-np.inf,) * 3, (np.inf,) * 3)
 LEVELS = ["fast", "default", pytest.param("max", marks=pytest.mark.slow), "paper"]
 
 

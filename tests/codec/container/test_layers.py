@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.codec.scene_decoder import decode, decode_box, describe
+from clgs.codec.scene_decoder import EVERYWHERE, decode, decode_box, describe
 from clgs.codec.scene_encoder import encode, sort_anchors
 from clgs.codec.sections import BODY, LAYR, BytesSource, FileSource, write_container
 from clgs.codec.smaller import choose_layers
@@ -81,9 +81,8 @@ def test_every_beginning_is_the_scene_of_its_layers(scene, file):
 
 def test_a_layer_cut_in_the_middle_is_left_out_also_of_a_box(scene, file):
     first, second, *_ = ends(file)
-    everything = Box((-np.inf,) * 3, (np.inf,) * 3)
     with pytest.warns(UserWarning, match="it has layer 1 of 4"):
-        part = decode_box(BytesSource(file[: (first + second) // 2]), everything)
+        part = decode_box(BytesSource(file[: (first + second) // 2]), EVERYWHERE)
     assert_same(part, subset(scene, 1))
 
 

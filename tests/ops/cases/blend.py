@@ -101,29 +101,6 @@ def every_tile_lists(device: Any, scene: ProjectedScene, size: tuple[int, int]) 
         "tile_range": np.arange(number + 1) * len(order),
         "row_range": row_range,
     }
-    return lists_on_device(device, size, arrays)
-
-
-def part_of_lists(device: Any, whole: tiles.TileLists, first: int, last: int) -> tiles.TileLists:
-    """The lists of tiles [first, last), all others empty; rows are numbered again from 0."""
-    names = ("gaussian", "row", "tile_range", "row_range")
-    lists = {name: device.download(getattr(whole, name)) for name in names}
-    count = len(lists["row_range"]) - 1
-    starts = np.clip(lists["tile_range"], *lists["tile_range"][[first, last]])
-    own = slice(starts[0], starts[-1])
-    gaussian, row = lists["gaussian"][own], lists["row"][own]
-    arrays = {
-        "gaussian": gaussian,
-        "row": np.argsort(np.argsort(row)),
-        "tile_range": starts - starts[0],
-        "row_range": np.concatenate([[0], np.cumsum(np.bincount(gaussian, minlength=count))]),
-    }
-    return lists_on_device(device, whole.size, arrays)
-
-
-def lists_on_device(
-    device: Any, size: tuple[int, int], arrays: dict[str, np.ndarray]
-) -> tiles.TileLists:
     total = device.upload(np.array([len(arrays["row"])], np.int64))
     uploaded = {name: device.upload(array.astype(np.int32)) for name, array in arrays.items()}
     return tiles.TileLists(size=size, **uploaded, total=total)
