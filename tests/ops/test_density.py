@@ -100,10 +100,10 @@ def test_wrong_shapes_are_refused(device, rng):
         add(device, statistics, output, visible, slot.astype(np.int64), extent, d_mean2d)
 
 
-def signed_view(rng, anchors, visible_count, drawn=0.3):
+def signed_view(rng, anchors, visible_count):
     """Visible anchors, slots in ascending order, opacities and derivatives by them, one view."""
     visible = rng.choice(anchors, visible_count, replace=False).astype(np.int32)
-    slot = np.flatnonzero(rng.random(visible_count * K_OFFSETS) < drawn).astype(np.int32)
+    slot = np.flatnonzero(rng.random(visible_count * K_OFFSETS) < 0.3).astype(np.int32)
     opacity, d_opacity = rng.random(len(slot)), rng.normal(0, 30, len(slot))
     return visible, slot, opacity.astype(np.float32), d_opacity.astype(np.float32)
 

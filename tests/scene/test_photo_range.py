@@ -27,14 +27,14 @@ from tests.codec.scenes import random_scene
 PHOTOS = PhotoRange(300.0, 310.5, 0.25, -1.0, 2.0, 3.0, 4.5)
 
 
-def cameras_around(rng, count, middle, distance, focal=300.0):
+def cameras_around(rng, count, middle, distance):
     """Cameras between ``distance`` from ``middle``, which all look at it."""
     found = []
     for _ in range(count):
         outward = rng.normal(size=3)
         eye = middle + rng.uniform(*distance) * outward / np.linalg.norm(outward)
         rotation = np.stack(look_at(eye, middle, np.array([0.1, 0.2, 1.0])))
-        found.append(Camera(rotation, -rotation @ eye, focal, focal, 80.0, 60.0, 160, 120))
+        found.append(Camera(rotation, -rotation @ eye, 300.0, 300.0, 80.0, 60.0, 160, 120))
     return found
 
 

@@ -195,12 +195,12 @@ def nearest_to_cut(projected: Any, opacity: np.ndarray, chosen: np.ndarray) -> n
     return found
 
 
-def worst_of_tier1(device: Any, sizes: tuple[tuple[int, int], ...] = SIZES) -> dict[str, Any]:
+def worst_of_tier1(device: Any) -> dict[str, Any]:
     """Largest value of every measure by kind of scene; gradients: over all five tensors."""
     table: dict[str, dict[str, float]] = {}
     for kind in KINDS:
         row = table.setdefault(kind, {})
-        for size in sizes:
+        for size in SIZES:
             scene, camera = scene_of(kind, size)
             for errors in tier1(draw(device, scene, camera), image_gradient(camera)).values():
                 for name, value in errors.items():

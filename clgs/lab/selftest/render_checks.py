@@ -27,9 +27,9 @@ from clgs.ops import loss as loss_op
 from clgs.ops import mlp, project, project_anchors
 from clgs.reference import cull, loss, tiles
 from clgs.reference import project as reference_project
-from clgs.render.frame import DeviceScene, Frame, SceneGradients, upload_scene, upload_view
+from clgs.render.frame import Frame, SceneGradients, upload_scene, upload_view
 from clgs.render.rasterise import rasterise, rasterise_backward
-from clgs.scene.scene import RenderSettings, Scene
+from clgs.scene.scene import RenderSettings
 
 SEED = 11
 VOLUME_WEIGHT = 0.01
@@ -62,8 +62,6 @@ class _Run:
     """The device's results for the self-test scene, with the float64 ones."""
 
     device: Device
-    scene: Scene
-    uploaded: DeviceScene
     frame: Frame
     at_once: project.Projected
     elsewhere: project.Projected
@@ -127,8 +125,7 @@ def _run(device: Device, case: Case) -> _Run:
         gradients = rasterise_backward(device, uploaded, frame, d_image, VOLUME_WEIGHT)
     device.profile.enabled = False
     reference = render_reference(device, scene, frame, d_image)
-    drawn = frame, at_once, elsewhere
-    return _Run(device, scene, uploaded, *drawn, photo, d_image, gradients, reference)
+    return _Run(device, frame, at_once, elsewhere, photo, d_image, gradients, reference)
 
 
 Found = list[tuple[str, float, float]]

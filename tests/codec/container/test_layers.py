@@ -56,10 +56,10 @@ def test_no_byte_depends_on_the_threads(scene, sorted_scene, level):
     assert_same(decode(data, 3), sorted_scene)
 
 
-def subset(scene, count, layers=4):
+def subset(scene, count):
     """The first ``count`` layers, chosen again."""
     whole = replace(scene, anchors=sort_anchors(scene.anchors))
-    return replace(scene, anchors=take(whole.anchors, choose_layers(whole, layers) < count))
+    return replace(scene, anchors=take(whole.anchors, choose_layers(whole, 4) < count))
 
 
 def test_every_beginning_is_the_scene_of_its_layers(scene, file):
