@@ -15,7 +15,7 @@ from clgs.codec import (
     encode_positions,
     morton_order,
 )
-from clgs.codec.attribute_model import CHANNEL
+from clgs.codec.attribute_model import CHANNEL, empty_model
 from clgs.codec.meta import LEVELS
 from clgs.errors import CodecError
 
@@ -39,16 +39,8 @@ def streams() -> list[Stream]:
         (partial(_rows, _codec.paper_decode, 40, 3), _codec.paper_encode(value, 3)),
         (partial(_planes, word.size), _codec.planes_encode(word)),
         (partial(_weights, matrix), _codec.weights_encode(word, matrix)),
-        (_model, b"\3" + _codec.attributes_header(_some_model())),
+        (_model, b"\3" + _codec.attributes_header(empty_model(1))),
     ]
-
-
-def _some_model() -> np.ndarray:
-    """One constant channel."""
-    model = np.zeros(1, CHANNEL)
-    model["classes"] = 1
-    model["frequency"][:, 0, 0] = 4096
-    return model
 
 
 def _refused(function: Callable[..., object], *arguments: object) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from clgs import _codec
 from clgs.codec import row_coder
-from clgs.codec.attribute_model import NEAR_COUNT, NearRows, find_near
+from clgs.codec.attribute_model import NEAR_COUNT, NearRows, empty_model, find_near
 from clgs.codec.octree import morton_order
 from clgs.codec.scene_decoder import decode
 from clgs.codec.scene_encoder import encode, sort_anchors
@@ -41,8 +41,7 @@ def test_positions_that_span_too_much_are_refused() -> None:
 
 
 def test_near_rows_of_another_number_are_refused() -> None:
-    table = np.zeros(1, row_coder.CHANNEL)
-    table["classes"], table["frequency"][:, 0, 0] = 1, 4096
+    table = empty_model(1)
     near = np.zeros((8, NEAR_COUNT), np.int32)
     with pytest.raises(ValueError, match="not as many as the rows"):
         _codec.attributes_encode(table, np.zeros((9, 1), np.int32), near)
