@@ -256,6 +256,17 @@ def option(
     return field(default=default, metadata={METADATA: declared})
 
 
+def moment(default: int, help: str, group: str = "") -> Any:
+    """Declare a step number, 0 for none, as an option that moves with ``steps``."""
+    return option(default, help, at_least(0), unit="step number", group=group, scaled=True)
+
+
+def rates(first: float, last: float, what: str, group: str = "") -> Any:
+    """Declare the first and the last learning rate of ``what`` as an option."""
+    help = f"first and last learning rate of {what}"
+    return option((first, last), help, POSITIVE, unit="per step", group=group)
+
+
 def older_values(settings: type) -> dict[str, Any]:
     """What runs trained with that were begun before a setting, if its default is another, by name.
 

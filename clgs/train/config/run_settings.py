@@ -17,6 +17,7 @@ from clgs.train.config.option import (
     at_least,
     option,
     options_of,
+    rates,
 )
 
 SHORT_RUN_POWERS = {"feature": (0.5, 0.5), "offset": (0.25, 0.25), "exposure": (0.5, 0.5)}
@@ -32,43 +33,15 @@ class LearningRates:
     Positions of anchors are not trained, so there is no group for them.
     """
 
-    offset: Pair = option(
-        (0.01, 0.0001),
-        "first and last learning rate of offsets, multiplied by the scene radius",
-        POSITIVE,
-        unit="per step",
-        group="learning rates",
+    offset: Pair = rates(
+        0.01, 0.0001, "offsets, multiplied by the scene radius", group="learning rates"
     )
-    feature: Pair = option(
-        (0.0075, 0.00075),
-        "first and last learning rate of features (code: constant, which preset paper takes)",
-        POSITIVE,
-        unit="per step",
-    )
-    scaling: Pair = option(
-        (0.007, 0.0007),
-        "first and last learning rate of scalings (code: 0.007, which preset paper takes)",
-        POSITIVE,
-        unit="per step",
-    )
-    mlp_opacity: Pair = option(
-        (0.002, 2e-5), "first and last learning rate of the opacity MLP", POSITIVE, unit="per step"
-    )
-    mlp_covariance: Pair = option(
-        (0.004, 0.004),
-        "first and last learning rate of the covariance MLP",
-        POSITIVE,
-        unit="per step",
-    )
-    mlp_color: Pair = option(
-        (0.008, 5e-5), "first and last learning rate of the color MLP", POSITIVE, unit="per step"
-    )
-    exposure: Pair = option(
-        (0.01, 0.001),
-        "first and last learning rate of the exposure of photos (3DGS)",
-        POSITIVE,
-        unit="per step",
-    )
+    feature: Pair = rates(0.0075, 0.00075, "features (code: constant, which preset paper takes)")
+    scaling: Pair = rates(0.007, 0.0007, "scalings (code: 0.007, which preset paper takes)")
+    mlp_opacity: Pair = rates(0.002, 2e-5, "the opacity MLP")
+    mlp_covariance: Pair = rates(0.004, 0.004, "the covariance MLP")
+    mlp_color: Pair = rates(0.008, 5e-5, "the color MLP")
+    exposure: Pair = rates(0.01, 0.001, "the exposure of photos (3DGS)")
 
     def __post_init__(self) -> None:
         for name, one in options_of(LearningRates).items():

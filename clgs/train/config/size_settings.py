@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from clgs.train.config.option import ANY, WEIGHT, Range, at_least, option
+from clgs.train.config.option import ANY, WEIGHT, Range, at_least, moment, option
 from clgs.train.config.run_settings import LEAST_ANCHORS
 
 LEAST_TARGET = {"quantized": 14_000, "float32": 50_000}
@@ -64,19 +64,11 @@ class SizeSettings:
         Range(LEAST_ANCHORS, or_zero=True),
         unit="anchors",
     )
-    prune_end: int = option(
-        22_500,
-        "last step after which anchors are left out that are not worth their bytes",
-        at_least(0),
-        unit="step number",
-        scaled=True,
+    prune_end: int = moment(
+        22_500, "last step after which anchors are left out that are not worth their bytes"
     )
-    freeze_step: int = option(
-        28_500,
-        "last step at which anchors learn; after it, only the MLPs do",
-        at_least(0),
-        unit="step number",
-        scaled=True,
+    freeze_step: int = moment(
+        28_500, "last step at which anchors learn; after it, only the MLPs do"
     )
     proxy: str = option(
         "channel",
@@ -103,28 +95,18 @@ class SizeSettings:
 class GrowthSettings:
     """When and where anchors grow, and when transparent ones go (Scaffold-GS)."""
 
-    statistics_start: int = option(
+    statistics_start: int = moment(
         500,
         "last step without statistics for growing and pruning (code)",
-        at_least(0),
-        unit="step number",
         group="growing and pruning",
-        scaled=True,
     )
-    growth_start: int = option(
-        1_500,
-        "last step at which anchors cannot change (paper); the first change is at 1,600",
-        at_least(0),
-        unit="step number",
-        scaled=True,
+    growth_start: int = moment(
+        1_500, "last step at which anchors cannot change (paper); the first change is at 1,600"
     )
-    growth_end: int = option(
+    growth_end: int = moment(
         15_000,
         "first step at which anchors cannot change any more, at most switch_step (paper); the last "
         "change is at 14,900",
-        at_least(0),
-        unit="step number",
-        scaled=True,
     )
     growth_interval: int = option(
         100, "steps between changes of the anchors (code)", at_least(1), unit="steps"
