@@ -245,18 +245,23 @@ def check_room(device: Device, frame: RenderedView, stop: DeviceArray) -> Device
 
 
 def with_enough_room(
-    device: Device, room: Room, draw: Callable[[Room], AnyView]
+    draw: Callable[..., AnyView],
+    device: Device,
+    scene: Drawable,
+    view: DeviceView,
+    options: RenderOptions,
+    room: Room,
 ) -> tuple[AnyView, Room]:
     """What ``draw`` makes in ``room``, or in a larger one if something did not fit.
 
-    Waits for the device.
+    ``draw``: such as :func:`rasterise`, whose arguments follow. Waits for the device.
 
     Returns:
         The picture, and the room for the next one. Arrays of the same lengths take the same memory
         for picture after picture, and nothing waits for the device between their stages.
     """
     while True:
-        picture = draw(room)
+        picture = draw(device, scene, view, options, room)
         needed = picture.needed(device)
         if picture.room.holds(needed):
             return picture, room.grown(needed)

@@ -18,7 +18,6 @@ from clgs.render.frame import (
     DeviceView,
     Drawable,
     RenderedView,
-    Room,
     upload_drawable,
     upload_view,
 )
@@ -136,12 +135,8 @@ class Renderer:
     def _drawn(self, draw: Callable[..., RenderedView], camera: Camera) -> RenderedView:
         """What ``rasterise`` or ``draw_depth`` makes, with as much room as it needs."""
         check_type("camera", camera, Camera, CAMERA_REMEDY)
-        device, scene, view = self._device, self._scene, self._view(camera)
-
-        def draw_in(room: Room) -> RenderedView:
-            return draw(device, scene, view, self._options, room)
-
-        picture, self._room = with_enough_room(device, self._room, draw_in)
+        drawn = self._scene, self._view(camera), self._options
+        picture, self._room = with_enough_room(draw, self._device, *drawn, self._room)
         return picture
 
     def _view(self, camera: Camera) -> DeviceView:

@@ -20,7 +20,6 @@ from clgs.data.dataset import RADIUS_MARGIN, SCENE_RADIUS
 from clgs.data.masks import Mask
 from clgs.errors import DataError
 from clgs.opencl.device import Device
-from clgs.options import DEFAULT, RenderOptions
 from clgs.render.frame import upload_scene, upload_view
 from clgs.render.renderer import Renderer
 from clgs.scene.camera import Camera
@@ -111,8 +110,7 @@ def bake(
     device: Device,
     scene: Scene,
     views: Sequence[BakeView],
-    settings: BakeSettings | None = None,
-    options: RenderOptions = DEFAULT,
+    settings: BakeSettings,
     on_step: Callable[[], None] = lambda: None,
 ) -> HostGaussians:
     """Ordinary Gaussians in scene units that look like ``scene`` from ``views``.
@@ -124,7 +122,6 @@ def bake(
     Raises:
         DataError: no view sees anything of the scene.
     """
-    settings = settings or BakeSettings()
     uploaded = upload_scene(device, scene)
     seen = evenly(views, FIT_VIEWS)
 
@@ -132,7 +129,7 @@ def bake(
         on_device = (
             (upload_view(device, view.camera, scene.settings), view.used()) for view in seen
         )
-        for observation in observe(device, uploaded, on_device, options):
+        for observation in observe(device, uploaded, on_device):
             yield observation
             on_step()
 
@@ -143,10 +140,10 @@ def bake(
     centres = np.array([view.camera.centre for view in views])
     distance = np.linalg.norm(centres - centres.mean(axis=0), axis=1).max()
     radius = RADIUS_MARGIN * float(distance) or 1.0
-    pictures = _pictures(device, scene, views, options)
+    pictures = _pictures(device, scene, views)
     if settings.antialiased:
         fitted = _antialiased(fitted, [view.camera for view in views])
-    refined = refine(device, fitted, pictures, settings.steps, radius, options, on_step)
+    refined = refine(device, fitted, pictures, settings.steps, radius, on_step)
     return in_order(without_faint(refined))
 
 
@@ -171,12 +168,10 @@ def evenly(views: Sequence[BakeView], most: int) -> list[BakeView]:
     return [views[i] for i in chosen]
 
 
-def _pictures(
-    device: Device, scene: Scene, views: Sequence[BakeView], options: RenderOptions
-) -> Iterator[Target]:
+def _pictures(device: Device, scene: Scene, views: Sequence[BakeView]) -> Iterator[Target]:
     """All views in random order, again and again, and what they are to show."""
     rng = np.random.default_rng(SEED)
-    renderer = Renderer(device, scene, options)
+    renderer = Renderer(device, scene)
     while True:
         for number in rng.permutation(len(views)):
             view = views[number]
@@ -226,11 +221,10 @@ def baked_loss(
     scene: Scene,
     gaussians: HostGaussians,
     views: Sequence[BakeView],
-    options: RenderOptions = DEFAULT,
 ) -> BakedLoss:
     """Draw ``scene`` and ``gaussians``, in scene units, from ``views``, and compare."""
-    renderer = Renderer(device, scene, options)
-    of_baked = Renderer(device, SplatScene(gaussians, scene.settings), options)
+    renderer = Renderer(device, scene)
+    of_baked = Renderer(device, SplatScene(gaussians, scene.settings))
     baked, before = [], []
     for view in views:
         whole = to_8bit(renderer.render(view.camera))

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +22,7 @@ from clgs.errors import ClgsError
 from clgs.opencl.array import DeviceArray
 from clgs.opencl.device import Device
 from clgs.ops import adam, loss, mask
-from clgs.options import RenderOptions
+from clgs.options import DEFAULT
 from clgs.reference.general.splats import HARMONICS
 from clgs.reference.project import rotation_matrix
 from clgs.render.frame import EXACT_ROOM, DeviceScene, DeviceView
@@ -62,10 +61,7 @@ class Observation:
 
 
 def observe(
-    device: Device,
-    scene: DeviceScene,
-    views: Iterable[tuple[DeviceView, Mask | None]],
-    options: RenderOptions,
+    device: Device, scene: DeviceScene, views: Iterable[tuple[DeviceView, Mask | None]]
 ) -> Iterator[Observation]:
     """What each of ``views`` shows of ``scene`` in the pixels that its mask leaves.
 
@@ -74,8 +70,7 @@ def observe(
     """
     room = EXACT_ROOM
     for view, used in views:
-        draw = partial(rasterise, device, scene, view, options)
-        frame, room = with_enough_room(device, room, draw)
+        frame, room = with_enough_room(rasterise, device, scene, view, DEFAULT, room)
         counted = np.ones(frame.image.shape, np.float32)
         counted *= 1 if used is None else used
         gradients = blend_backward(device, frame, device.upload(counted))
@@ -220,7 +215,6 @@ def refine(
     targets: Iterable[Target],
     steps: int,
     radius: float,
-    options: RenderOptions,
     on_step: Callable[[], None] = lambda: None,
 ) -> HostGaussians:
     """One step of Adam for each of the first ``steps`` targets, with the loss of training.
@@ -235,8 +229,7 @@ def refine(
     moments = {name: adam.zero_moments(device, array) for name, array in stored.items()}
     stop = adam.stop_flag(device)
     for number, (view, picture, used) in zip(range(1, steps + 1), targets, strict=False):
-        draw = partial(rasterise, device, stored, view, options)
-        frame, room = with_enough_room(device, room, draw)
+        frame, room = with_enough_room(rasterise, device, stored, view, DEFAULT, room)
         image = frame.image if used is None else mask.forward(device, frame.image, used)
         compared = loss.forward(device, image, picture)
         d_image = loss.backward(device, image, picture, compared)

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from clgs.errors import DataError
 from clgs.lab.scenes import anchor_scene
-from clgs.options import DEFAULT
 from clgs.render.frame import upload_scene, upload_view
 from clgs.render.renderer import Renderer
 from clgs.scene.scene import SceneTransform, SplatScene
@@ -53,7 +52,7 @@ def test_contributions_add_up_to_the_picture(device, views):
     scene, (view, *_) = views
     black = replace(scene.settings, background=(0.0, 0.0, 0.0))
     on_device = upload_view(device, view.camera, black)
-    (seen,) = observe(device, upload_scene(device, scene), [(on_device, None)], DEFAULT)
+    (seen,) = observe(device, upload_scene(device, scene), [(on_device, None)])
     picture = Renderer(device, replace(scene, settings=black)).render(view.camera)
     total = (seen.weight[:, None].astype(np.float64) * seen.color).sum(axis=0)
     assert np.allclose(total, picture.sum(axis=(1, 2), dtype=np.float64), rtol=1e-4)

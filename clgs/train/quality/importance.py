@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import zip_longest
 
 import numpy as np
@@ -142,8 +141,7 @@ def _looks(
     rng, room = np.random.default_rng(SEED), EXACT_ROOM
     for camera, mask in zip_longest(cameras, used):
         view = upload_view(device, camera, settings)
-        draw = partial(rasterise, device, scene, view, options)
-        frame, room = with_enough_room(device, room, draw)
+        frame, room = with_enough_room(rasterise, device, scene, view, options, room)
         random = 2 * rng.integers(0, 2, frame.image.shape, np.int8).astype(np.float32) - 1
         signs = device.upload(random if mask is None else random * mask)
         yield frame, signs
@@ -227,8 +225,7 @@ def view_weights(
     room = EXACT_ROOM
     for camera, mask in zip(cameras, masks, strict=True):
         view = upload_view(device, camera, settings)
-        draw = partial(rasterise, device, scene, view, options)
-        frame, room = with_enough_room(device, room, draw)
+        frame, room = with_enough_room(rasterise, device, scene, view, options, room)
         used = np.zeros((camera.height, camera.width)) if mask is None else mask
         weights = _frame_weights(device, frame, used.astype(np.float32), len(scene.anchors))
         del frame  # before the next one is made

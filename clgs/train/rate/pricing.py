@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -84,8 +83,7 @@ def compare(
     losses, errors, room = [], [], EXACT_ROOM
     for view in views[:: -(-len(views) // COMPARED)]:
         drawn = upload_view(device, view.camera, settings)
-        draw = partial(rasterise, device, scene, drawn, options)
-        frame, room = with_enough_room(device, room, draw)
+        frame, room = with_enough_room(rasterise, device, scene, drawn, options, room)
         photo = view.photo.planes(settings.background)
         image, used = frame.image, view.used()
         if used is not None:

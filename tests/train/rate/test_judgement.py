@@ -13,7 +13,7 @@ from clgs.data.view import StoredPhoto, View
 from clgs.lab.scenes import anchor_scene
 from clgs.opencl.device import Device
 from clgs.ops import loss
-from clgs.render.frame import EXACT_ROOM, DeviceScene, Frame, Room, upload_scene, upload_view
+from clgs.render.frame import EXACT_ROOM, DeviceScene, Frame, upload_scene, upload_view
 from clgs.render.rasterise import rasterise
 from clgs.scene.scene import RenderSettings, Scene
 from clgs.train.config import TrainConfig
@@ -83,8 +83,8 @@ def test_the_room_that_earlier_views_left_changes_nothing(device, monkeypatch):
     cameras = [aside, camera, aside]
     found = sensitivity(device, uploaded, settings, cameras)
 
-    def exact_room(device: Device, room: Room, draw: Callable[[Room], Frame]):
-        return draw(EXACT_ROOM), EXACT_ROOM
+    def exact_room(draw: Callable[..., Frame], *arguments: object):
+        return draw(*arguments[:-1], EXACT_ROOM), EXACT_ROOM
 
     monkeypatch.setattr(f"{sensitivity.__module__}.with_enough_room", exact_room)
     exact = sensitivity(device, uploaded, settings, cameras)
