@@ -15,6 +15,7 @@ from clgs.data.dataset import Dataset
 from clgs.data.view import View
 from clgs.errors import BudgetError, ClgsError, UsageError
 from clgs.opencl.device import Device
+from clgs.ops import scan
 from clgs.options import BACKGROUNDS, RenderOptions
 from clgs.render.frame import EXACT_ROOM, Frame
 from clgs.render.renderer import Renderer
@@ -217,8 +218,8 @@ class Trainer:
 
     def _settle(self) -> StepResult:
         """Wait for the oldest step under way; repeat it if it lacked room."""
-        while not self._under_way[0].done:
-            if not self._under_way[0].lacked_room():
+        while stop := self._under_way[0].stop:
+            if not stop & scan.LACKS_ROOM:
                 self._give_up()
             failed = self._under_way  # again, in order, with more room for the first of them
             self.queue.room = failed[0].room.grown(failed[0].needed())

@@ -186,10 +186,6 @@ class ViewOrder:
         self._order: list[int] = []
         self._next = 0
 
-    def next(self) -> int:
-        """The number of the next view, which is taken."""
-        return self.take(1)[0]
-
     def take(self, count: int) -> list[int]:
         """The numbers of the next ``count`` views, which are taken; no two are the same.
 

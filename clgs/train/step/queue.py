@@ -12,7 +12,7 @@ import numpy as np
 from clgs.data.dataset import Dataset
 from clgs.opencl.device import Device
 from clgs.opencl.transfer import Download
-from clgs.ops import density, exposure, loss, scan
+from clgs.ops import density, exposure, loss
 from clgs.render.frame import EXACT_ROOM, DeviceScene, Frame, Room
 from clgs.render.rasterise import rasterise
 from clgs.train.config import TrainConfig
@@ -57,13 +57,8 @@ class Enqueued:
 
     @property
     def stop(self) -> int:
-        """Why the step changed nothing, 0 if it did; waits for it."""
+        """Why the step changed nothing, 0 if it, and all before it, did; waits for it."""
         return reduce(or_, (int(stop.get()[0]) for stop in self.stops))
-
-    @property
-    def done(self) -> bool:
-        """Whether the step, and all before it, changed the parameters; waits for it."""
-        return self.stop == 0
 
     def loss(self) -> loss.LossValue:
         """The mean of the views; waits for the step."""
@@ -77,10 +72,6 @@ class Enqueued:
     def needed(self) -> Room:
         """The most visible anchors, Gaussians and entries of any view; waits for the step."""
         return Room(*map(int, np.max([one.get() for one in self.totals], axis=0)))
-
-    def lacked_room(self) -> bool:
-        """Whether more was needed than there was room for; waits for the step."""
-        return bool(self.stop & scan.LACKS_ROOM)
 
 
 class StepQueue:

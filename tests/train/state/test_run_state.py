@@ -30,7 +30,7 @@ def test_a_checkpoint_brings_everything_back(device, tmp_path, exposure, late):
     rng.integers(0, 7, 3, dtype=np.int32)  # leaves half a 64-bit draw in the state
     state = new_state(device, config, 7, scene.anchors, scene.mlps, rng)
     state.step, state.merged = 4, 2
-    [state.views.next() for _ in range(4)]
+    state.views.take(4)
     if late:
         anchors, count = state.parameters.scene.anchors, len(scene.anchors)
         scales = QuantizationScales(300.0, 2.0, 4.0, 16.0)
@@ -47,7 +47,7 @@ def test_a_checkpoint_brings_everything_back(device, tmp_path, exposure, late):
     assert found.rng.bit_generator.state == state.rng.bit_generator.state
     mine, theirs = (one.rng.integers(0, 1 << 20, 9, dtype=np.int32) for one in (state, found))
     assert mine.tolist() == theirs.tolist()
-    assert [found.views.next() for _ in range(9)] == [state.views.next() for _ in range(9)]
+    assert [found.views.take(1)[0] for _ in range(9)] == [state.views.take(1)[0] for _ in range(9)]
     assert (found.rate.scales, found.rate.price) == (state.rate.scales, state.rate.price)
     assert (found.exposures is None, found.known is None) == (not exposure, not late)
     assert len(found.rate.tables) == int(late)  # older ones serve steps that are done again
@@ -75,7 +75,7 @@ def arrays_of(device, state):
 
 def test_every_view_once_an_epoch_in_changing_order():
     views = ViewOrder(20, 3)
-    epochs = [[views.next() for _ in range(20)] for _ in range(5)]
+    epochs = [[views.take(1)[0] for _ in range(20)] for _ in range(5)]
     for epoch in epochs:
         assert Counter(epoch) == Counter(range(20))
     assert len({tuple(epoch) for epoch in epochs}) == 5
@@ -90,7 +90,7 @@ def test_a_batch_has_no_view_twice_and_an_epoch_has_all(batch):
     for first in range(0, len(dealt) - 19, 20):
         assert Counter(dealt[first : first + 20]) == Counter(range(20))
     if 20 % batch == 0:  # epochs end with a batch: the order is that of single views
-        assert dealt == [single.next() for _ in dealt]
+        assert dealt == [single.take(1)[0] for _ in dealt]
     with pytest.raises(ValueError, match="21 different views of 20"):
         views.take(21)
 
@@ -98,7 +98,7 @@ def test_a_batch_has_no_view_twice_and_an_epoch_has_all(batch):
 def test_order_depends_on_the_seed_alone():
     def deal(seed: int) -> list[int]:
         views = ViewOrder(30, seed)
-        return [views.next() for _ in range(60)]
+        return [views.take(1)[0] for _ in range(60)]
 
     assert deal(1) == deal(1)
     assert deal(1) != deal(2)
@@ -108,18 +108,18 @@ def test_order_depends_on_the_seed_alone():
 def test_restored_views_continues_exactly(taken):
     views = ViewOrder(7, 5)
     for _ in range(taken):
-        views.next()
+        views.take(1)
     restored = ViewOrder.restore(json.loads(json.dumps(views.record())))
-    assert [restored.next() for _ in range(30)] == [views.next() for _ in range(30)]
+    assert [restored.take(1)[0] for _ in range(30)] == [views.take(1)[0] for _ in range(30)]
 
 
 def test_state_is_a_copy():
     views = ViewOrder(4, 0)
-    views.next()
+    views.take(1)
     state = views.record()
     before = json.dumps(state)
     for _ in range(9):
-        views.next()
+        views.take(1)
     assert json.dumps(state) == before
 
 
