@@ -174,13 +174,12 @@ def encode_within(
         counter("encoding", 0, on_event)
         return FittedScene(reduce_to_size(scene, target_size, encode, None))
     every = select_views(path, scene, replace(views, split="train"), on_event)
-    cameras = [view.camera for view in every]
-    chosen = [every[i] for i in spread(cameras, len(cameras) if all_views else MEASURED)]
+    chosen = spread(every, len(every) if all_views else MEASURED)
     for view in chosen:
         view.photo.keep()  # they are read once, the others never
     judge = SceneJudge(
         Device(views.device),
-        [every[i] for i in spread(cameras, MAX_VIEWS)],
+        spread(every, MAX_VIEWS),
         chosen,
         drawing_options(path, views, scene),
         counter("looking at views", 0, on_event),
@@ -219,5 +218,4 @@ def importance_in_views(
         DataError: the data set is damaged, or that of another scene.
     """
     every = select_views(path, scene, replace(views, split="train"), on_event)
-    cameras = [view.camera for view in every]
-    return contribution(scene, [cameras[i] for i in spread(cameras, MAX_VIEWS)])
+    return contribution(scene, [view.camera for view in spread(every, MAX_VIEWS)])

@@ -280,17 +280,17 @@ def _best_factors(
     return factors
 
 
-def spread(cameras: Sequence[Camera], count: int) -> list[int]:
-    """Choose ``count`` of the cameras, or all, far from each other; their numbers, ascending.
+def spread(views: Sequence[View], count: int) -> list[View]:
+    """Choose ``count`` of the views, or all, far from each other; their order stays.
 
-    The first camera is chosen, then always the one whose centre is farthest from those chosen
-    before (Gonzalez 1985); of equals the one with the smallest number.
+    The first view is chosen, then always the one whose camera's centre is farthest from those
+    chosen before (Gonzalez 1985); of equals the first.
     """
-    centre = np.array([camera.centre for camera in cameras])
-    distance = np.full(len(cameras), np.inf)
+    centre = np.array([view.camera.centre for view in views])
+    distance = np.full(len(views), np.inf)
     chosen: list[int] = []
-    for _ in range(min(count, len(cameras))):
+    for _ in range(min(count, len(views))):
         chosen.append(int(np.argmax(distance)))
         distance = np.minimum(distance, np.linalg.norm(centre - centre[chosen[-1]], axis=1))
         distance[chosen] = -1.0
-    return sorted(chosen)
+    return [views[i] for i in sorted(chosen)]

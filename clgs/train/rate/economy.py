@@ -143,8 +143,7 @@ class Economy:
             moments = moments[:0]
         self.steps = sorted({round(each) for each in (*thinned, *moments)}) if active else []
         """The steps after which there is a round."""
-        views = dataset.train
-        self.views = [views[i] for i in spread([view.camera for view in views], VIEWS)]
+        self.views = spread(dataset.train, VIEWS)
         """The views that rounds look from."""
 
     def round(self, state: RunState, step: int) -> Round:

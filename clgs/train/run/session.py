@@ -217,8 +217,7 @@ class Session:
         scores = evaluate_views(device, scene, views, pictures.add, options)
         summary = summarize(scene, scores, len(bitstream))
         if dataset.test:  # some training views, to compare with the held-out ones
-            train = dataset.train
-            chosen = [train[i] for i in spread([view.camera for view in train], TRAINING_VIEWS)]
+            chosen = spread(dataset.train, TRAINING_VIEWS)
             renderer = Renderer(device, scene.dequantize(), options)
             mean = mean_psnr(renderer, chosen, scene.settings.background)
             summary |= {"train_psnr": mean, "train_views": len(chosen)}
@@ -251,8 +250,7 @@ class Session:
         target = 0 if self.config.box else self.config.target_size
         if not target or len(encode(scene)) <= target:
             return scene
-        views = self.dataset.train
-        chosen = [views[i] for i in spread([view.camera for view in views], MAX_VIEWS)]
+        chosen = spread(self.dataset.train, MAX_VIEWS)
         judge = SceneJudge(self.device, chosen, self.fixed_views(), self.trainer.options)
         return reduce_to_size(scene, target, encode, judge).scene
 

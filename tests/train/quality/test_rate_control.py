@@ -264,22 +264,24 @@ def test_a_psnr_that_needs_no_anchor_is_refused(device, seen):
     assert found.psnr[1] >= least + 0.1
 
 
-def cameras(centres: list[float]) -> list[Camera]:
-    """Cameras on a line."""
-    size = (10.0, 10.0, 4.0, 4.0, 8, 8)
-    return [Camera(np.eye(3), np.array([-x, 0.0, 0.0]), *size) for x in centres]
+def chosen(centres: list[float], count: int) -> list[int]:
+    """The numbers of the views that are chosen of some on a line."""
+    size, photo = (10.0, 10.0, 4.0, 4.0, 8, 8), Pixels(np.zeros((8, 8, 3), np.uint8), None)
+    cameras = [Camera(np.eye(3), np.array([-x, 0.0, 0.0]), *size) for x in centres]
+    views = [View(str(i), one, StoredPhoto.of(photo)) for i, one in enumerate(cameras)]
+    return [int(view.name) for view in spread(views, count)]
 
 
 def test_the_farthest_come_first():
-    line = cameras([0.0, 1.0, 2.0, 3.0, 10.0, 11.0, 5.0])
-    assert spread(line, 1) == [0]
-    assert spread(line, 2) == [0, 5]
-    assert spread(line, 3) == [0, 5, 6]
-    assert spread(line, 4) == [0, 2, 5, 6]
+    line = [0.0, 1.0, 2.0, 3.0, 10.0, 11.0, 5.0]
+    assert chosen(line, 1) == [0]
+    assert chosen(line, 2) == [0, 5]
+    assert chosen(line, 3) == [0, 5, 6]
+    assert chosen(line, 4) == [0, 2, 5, 6]
 
 
 def test_no_camera_comes_twice():
-    one_place = cameras([1.0] * 5)
-    assert spread(one_place, 3) == [0, 1, 2]
-    assert spread(one_place, 9) == [0, 1, 2, 3, 4]
-    assert spread([], 3) == []
+    one_place = [1.0] * 5
+    assert chosen(one_place, 3) == [0, 1, 2]
+    assert chosen(one_place, 9) == [0, 1, 2, 3, 4]
+    assert chosen([], 3) == []
