@@ -5,7 +5,6 @@ Each block gives the merged scene the anchors that it owns.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -66,7 +65,7 @@ from clgs.train.run.run_folder import (
     finished_run,
     remove_run,
 )
-from clgs.train.run.session import Progress, Session
+from clgs.train.run.session import Session
 from clgs.workflow.events import Note, OnEvent, StageProgress, TrainingProgress, counter, ignore
 from clgs.workflow.outputs import check_apart
 from clgs.workflow.train import TrainedRun, read_finished
@@ -209,7 +208,7 @@ def _train_merged(
     whole = repose(whole, merged.transform)
     first = partial(block_state, device, whole, merged, joint_begin(config))
     session = Session(whole, folder, config, device, resume=True, first=first, lock=lock)
-    return session.run(_report(config, on_event))
+    return session.run(lambda one: on_event(TrainingProgress(one, config.steps)))
 
 
 def _write_report(data: Path, folder: Path, command: str) -> None:
@@ -279,7 +278,7 @@ def _coarse_and_plan(
     if coarse is None:
         on_event(Note(f"a coarse scene of all photos first, {config.steps} steps"))
         session = Session(photos, folder / COARSE, config, device, resume=True)
-        coarse = session.run(_report(config, on_event))
+        coarse = session.run(lambda one: on_event(TrainingProgress(one, config.steps)))
     plan = read_plan(folder / BLOCKS)
     if plan is not None:
         return coarse, plan
@@ -313,8 +312,3 @@ def _follow(tasks: list[Task], on_event: OnEvent) -> Tell:
         on_event(StageProgress("steps of all blocks", sum(done.values()), total))
 
     return follow
-
-
-def _report(config: TrainConfig, on_event: OnEvent) -> Callable[[Progress], None]:
-    """What receives the progress of a run of these settings and reports it."""
-    return lambda progress: on_event(TrainingProgress(progress, config.steps))

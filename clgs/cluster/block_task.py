@@ -29,7 +29,7 @@ from clgs.train.config.settings import FINE_Q
 from clgs.train.config.size_settings import size_of
 from clgs.train.run.load import load_for, state_of_scene
 from clgs.train.run.run_folder import finished_run
-from clgs.train.run.session import Progress, Session
+from clgs.train.run.session import Session
 from clgs.train.state.run_state import RunState
 
 COARSE_SHARE = 0.25
@@ -44,6 +44,8 @@ JOINT_SHARE = 0.8
 """The merged scene learns as a whole from this share of the steps before the switch to integers on,
 so that it repairs between rounds what each of them leaves out.
 """
+
+GROWING = ("statistics_start", "growth_start", "growth_end")
 
 LEAST_STEPS = 10
 """Shorter runs have no room for three parts."""
@@ -131,10 +133,7 @@ def joint_config(config: TrainConfig) -> TrainConfig:
     names = ("switch_step", "prune_end", "freeze_step", "mlp_switch_step")
     later = {name: max(begin, getattr(config, name)) for name in names}
     later["switch_step"] = min(later["switch_step"], config.steps - 1)
-    growth = {
-        name: min(getattr(config, name), begin)
-        for name in ("statistics_start", "growth_start", "growth_end")
-    }
+    growth = {name: min(getattr(config, name), begin) for name in GROWING}
     return replace(config, coarse_to_fine=False, **growth, **later)
 
 
@@ -143,10 +142,7 @@ def _unpriced(config: TrainConfig, steps: int) -> TrainConfig:
 
     Only the last of them is at integers, fine ones, for which positions move to their grid.
     """
-    growth = {
-        name: min(getattr(config, name), steps - 1)
-        for name in ("statistics_start", "growth_start", "growth_end")
-    }
+    growth = {name: min(getattr(config, name), steps - 1) for name in GROWING}
     return replace(
         config,
         **growth,
@@ -226,11 +222,8 @@ def train_block(task: Task, tell: Tell = lambda message: None) -> Row:
     was_finished = result is not None
     if result is None:
         first = partial(block_state, device, dataset, start, task["begun"])
-
-        def report(progress: Progress) -> None:
-            reporter.progress(progress)
-
-        result = Session(dataset, folder, config, device, resume=True, first=first).run(report)
+        session = Session(dataset, folder, config, device, resume=True, first=first)
+        result = session.run(reporter.progress)
     figures = {name: result.summary[name] for name in FIGURES if name in result.summary}
     return {"run": task["run"], "was_finished": was_finished, **figures}
 

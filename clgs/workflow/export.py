@@ -207,17 +207,13 @@ def export(
         steps, antialiased = given.pop("steps", None), given.pop("antialiased", None)
         photo_options = {name: given.pop(name, None) for name in PHOTO_OPTIONS}
         refuse(given, "there is no such option; leave it out")
-        views = ViewOptions(photos or _known(source), **photo_options)
+        views = ViewOptions(photos or known_data(source), **photo_options)
         check_photo_options(views)
         settings = BakeSettings(degree, BAKE_STEPS if steps is None else steps, bool(antialiased))
         encoded, loss = _bake(source, output, scene, views, settings, transform, on_event)
     atomic_write(output, encoded.data)
     made = encoded.gaussians
     return ExportedGaussians(output, len(encoded.data), len(made), made.degree, loss)
-
-
-def _known(source: Path | None) -> Path | None:
-    return None if source is None else known_data(source)
 
 
 def _bake(
@@ -360,8 +356,8 @@ def _page(
     It starts at the first held-out view of the data set ``photos``, if there is one.
     """
     data, start = b"", None
-    photos = photos or _known(source)
     if source is not None:
+        photos = photos or known_data(source)
         data = _scene_file(source)
         check_output(output, source)
     if photos is not None and source is not None:

@@ -22,7 +22,7 @@ from clgs.train.run.run_folder import (
     finished_run,
     finished_settings,
 )
-from clgs.train.run.session import Progress, Session
+from clgs.train.run.session import Session
 from clgs.train.step.batch import open_devices
 from clgs.workflow.events import Note, OnEvent, TrainingProgress, ignore
 from clgs.workflow.outputs import check_apart
@@ -110,11 +110,7 @@ def train(
     if start is not None and not session.trainer.heeds_lambda:
         text = f"{config.steps} steps come to no round that prices bytes; give more --steps"
         on_event(Note(f"lambda: {config.size_lambda:g} changes nothing, {text}"))
-
-    def report(progress: Progress) -> None:
-        on_event(TrainingProgress(progress, config.steps))
-
-    result = session.run(report)
+    result = session.run(lambda one: on_event(TrainingProgress(one, config.steps)))
     rows: list[tuple[str, int, float, float]] = []
     if profile:
         rows = opened.profile.rows()

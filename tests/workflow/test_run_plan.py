@@ -40,7 +40,6 @@ from clgs.workflow.runs.plan import (
     must_hurry,
     plan_clip,
     poses_time,
-    prepare_seconds,
 )
 from clgs.workflow.runs.record import find_input, in_words
 from tests.data.folders import save_json, write_blender, write_colmap, write_transforms
@@ -119,17 +118,17 @@ def test_noise_never_gives_a_speed_below_zero(pixels):
 
 def test_more_photos_take_longer_to_pose_and_more_cores_less():
     few, more, many = (replace(PHOTOS, count=count) for count in (50, 100, 1000))
-    assert prepare_seconds(few, 2, True) < prepare_seconds(more, 2, True)
-    assert prepare_seconds(more, 2, False) < prepare_seconds(many, 2, False)
-    assert prepare_seconds(few, 8, False) < prepare_seconds(few, 2, False)
+    assert poses_time(few, 2, True).seconds < poses_time(more, 2, True).seconds
+    assert poses_time(more, 2, False).seconds < poses_time(many, 2, False).seconds
+    assert poses_time(few, 8, False).seconds < poses_time(few, 2, False).seconds
 
 
 def test_more_pixels_take_longer_to_pose_up_to_those_that_are_searched():
     sizes = [(400, 300), (1600, 1200), (3200, 2400), (6400, 4800)]
-    seconds = [prepare_seconds(Photos(50, *size), 2, False) for size in sizes]
+    seconds = [poses_time(Photos(50, *size), 2, False).seconds for size in sizes]
     # Photos are searched at twice their size, up to 3,200 pixels.
     assert seconds[0] < seconds[1] == seconds[2] == seconds[3]
-    assert prepare_seconds(Photos(50, 1700, 1275), 2, False) == pytest.approx(seconds[1])
+    assert poses_time(Photos(50, 1700, 1275), 2, False).seconds == pytest.approx(seconds[1])
 
 
 def test_a_trial_tells_of_features_and_of_the_machine():
@@ -186,7 +185,7 @@ def test_frames_leave_time_for_the_rest(seconds, cores):
     share = POSES_SHARE * seconds
 
     def taken(frames):
-        return prepare_seconds(replace(PHOTOS, count=frames), cores, quick=True)
+        return poses_time(replace(PHOTOS, count=frames), cores, quick=True).seconds
 
     assert count == FRAMES[-1] or taken(count) <= share
     assert all(taken(n) > share for n in FRAMES if n > count)

@@ -284,25 +284,20 @@ def used_cores(cores: int) -> int:
     return max(1, min(cores, 8))
 
 
-def prepare_seconds(photos: Photos, cores: int, quick: bool) -> float:
-    """The sum of :func:`poses_time`."""
-    return poses_time(photos, cores, quick).seconds
-
-
 def must_hurry(photos: Photos, cores: int, seconds: float) -> bool:
     """Whether ``seconds`` for everything leave no time for tests of the poses.
 
     It is by the usual speed, not by that of a trial: other poses would follow from a busy moment.
     """
     usual = replace(photos, trial=None)
-    return prepare_seconds(usual, cores, quick=False) > POSES_SHARE * seconds
+    return poses_time(usual, cores, quick=False).seconds > POSES_SHARE * seconds
 
 
 def frames_within(video: Photos, cores: int, seconds: float) -> int:
     """Frames of a video that leave time for the rest, if ``seconds`` are for everything."""
     for count in FRAMES:
         frames = replace(video, count=count)
-        if prepare_seconds(frames, cores, quick=True) <= POSES_SHARE * seconds:
+        if poses_time(frames, cores, quick=True).seconds <= POSES_SHARE * seconds:
             return count
     return FRAMES[-1]
 

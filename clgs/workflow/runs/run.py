@@ -33,7 +33,6 @@ from clgs.workflow.runs.plan import (
     make_plan,
     must_hurry,
     poses_time,
-    prepare_seconds,
 )
 from clgs.workflow.runs.record import (
     DATA,
@@ -308,7 +307,7 @@ class _Planner:
         if given.complete:
             training = self.plan_training(given.photos, 0.0, given.path)
         else:
-            preparing = prepare_seconds(given.photos, CORES, hurry or given.pointless)
+            preparing = poses_time(given.photos, CORES, hurry or given.pointless).seconds
             preparing *= not self.stages.posed
             training = self.plan_training(given.photos, preparing, None)
         return RunPlan(given, training, self.stages.device.name, hurry, self.allowed)
