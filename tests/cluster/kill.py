@@ -1,7 +1,8 @@
-"""SIGKILL for a worker at a chosen moment."""
+"""SIGKILL for a worker at a chosen moment, and workers of another version."""
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import signal
@@ -10,6 +11,19 @@ import sys
 import threading
 import time
 from contextlib import contextmanager
+
+import pytest
+
+from clgs.cluster import worker
+
+needs_dask = pytest.mark.skipif(
+    importlib.util.find_spec("distributed") is None, reason="needs dask.distributed"
+)
+
+
+def as_another_version(*asked):
+    """What a worker with an older clgs would answer."""
+    return {**worker.describe(*asked), "version": "0.0.1"}
 
 
 @contextmanager

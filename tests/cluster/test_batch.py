@@ -14,12 +14,14 @@ from clgs.cluster.table import read_scenes
 from clgs.errors import ClgsError, UsageError
 from clgs.train.run.run_folder import RESULTS
 from clgs.train.state.checkpoint import checkpoints
-from tests.cluster.kill import kill_and_wait, killed_once, scheduler_with_a_worker
-from tests.small_scene import write_scene
-
-needs_dask = pytest.mark.skipif(
-    importlib.util.find_spec("distributed") is None, reason="needs dask.distributed"
+from tests.cluster.kill import (
+    as_another_version,
+    kill_and_wait,
+    killed_once,
+    needs_dask,
+    scheduler_with_a_worker,
 )
+from tests.small_scene import write_scene
 
 TABLE = """
 [settings]
@@ -169,18 +171,13 @@ def test_the_command_goes_on_past_a_scene_that_fails(table, tmp_path, capsys):
     assert capsys.readouterr().out.count("is finished already") == 2
 
 
-def _as_another_version(*asked):
-    """What a worker with an older clgs would answer."""
-    return {**worker.describe(*asked), "version": "0.0.1"}
-
-
 @needs_dask
 @pytest.mark.slow
 def test_a_worker_with_another_version_is_refused_by_name(table, tmp_path, monkeypatch):
     tasks = read_scenes(table, tmp_path / "runs")
     with engine.connected(1, None) as client:
         with monkeypatch.context() as patch:
-            patch.setattr(engine, "describe", _as_another_version)
+            patch.setattr(engine, "describe", as_another_version)
             with pytest.raises(UsageError, match=r"worker 0 at tcp.*: has clgs 0\.0\.1, not "):
                 engine.run_tasks(client, train_one, tasks, tmp_path / "k", pytest.fail)
         # one that joins later says so itself, and its run goes to those that are of the kind

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import math
 import shutil
@@ -12,7 +11,7 @@ import pytest
 
 from clgs.cli.main import main
 from clgs.cluster import block_run as blocks_run
-from clgs.cluster import engine, worker
+from clgs.cluster import engine
 from clgs.cluster.block_plan import read_plan
 from clgs.cluster.block_task import block_config, box_text, limited
 from clgs.errors import DataError, ExistsError, UsageError
@@ -21,12 +20,8 @@ from clgs.train.config import from_toml
 from clgs.train.config.size_settings import ANCHOR_BITS
 from clgs.train.run.run_folder import RESULTS, FolderLock
 from clgs.train.state.checkpoint import checkpoints
-from tests.cluster.kill import killed_once
+from tests.cluster.kill import as_another_version, killed_once, needs_dask
 from tests.small_scene import write_scene
-
-needs_dask = pytest.mark.skipif(
-    importlib.util.find_spec("distributed") is None, reason="needs dask.distributed"
-)
 
 LEAST_HELD = math.ceil(8 * 4_000 / ANCHOR_BITS)
 """The anchors of the smallest file that a size may be asked for, without its MLPs of float32."""
@@ -238,11 +233,6 @@ def test_a_block_that_fails_is_named_and_the_command_goes_on_later(
     start.write_bytes(whole)
     assert train(balls, folder, *words) == 0
     assert (folder / "scene.clgs").read_bytes() == (trained / "scene.clgs").read_bytes()
-
-
-def as_another_version(*asked):
-    """What a worker with an older clgs would answer."""
-    return {**worker.describe(*asked), "version": "0.0.1"}
 
 
 @needs_dask

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from PIL import Image
@@ -23,8 +20,9 @@ from clgs.workflow.runs.plan import (
     TrainingPlan,
     poses_time,
 )
-from clgs.workflow.runs.run import CORES, _Planner
+from clgs.workflow.runs.run import CORES
 from tests.data.folders import write_blender
+from tests.workflow.test_run_time import planner_of
 
 SLOW = StepSpeed(90.0, 1e-3)
 
@@ -122,12 +120,9 @@ def test_features_of_an_earlier_call_take_no_time_and_tell_nothing():
 
 
 def test_training_is_planned_again_and_shown_at_once():
-    stages = SimpleNamespace(
-        timed=lambda name: nullcontext(), measure_speed=lambda photos, data: StepSpeed(0.02, 1e-7)
-    )
     events: list[object] = []
     photos = Photos(100, 1600, 1200)
-    planner = _Planner(stages, events.append, 900.0, None, None, None)
+    planner = planner_of(events.append, 900.0)
     said = poses_time(photos, CORES, False)
     planned = planner.plan_training(photos, said.seconds, None)
     clock = planner.follow(photos, False)

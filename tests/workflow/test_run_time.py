@@ -31,6 +31,14 @@ def once(function):
     return call
 
 
+def planner_of(on_event, allowed):
+    """A planner of ``allowed`` seconds on a device of one speed."""
+    stages = SimpleNamespace(
+        timed=lambda name: nullcontext(), measure_speed=lambda photos, data: StepSpeed(0.02, 1e-7)
+    )
+    return _Planner(stages, on_event, allowed, None, None, None)
+
+
 @pytest.mark.slow
 def test_plan_takes_as_many_frames_of_a_video_as_the_time_allows(tmp_path, monkeypatch, capsys):
     clip = write_video(tmp_path / "clip.mp4", [np.zeros((64, 96, 3), np.uint8)], fps=10)
@@ -61,11 +69,8 @@ def test_a_sketch_goes_on_from_its_poses_with_more_time(tmp_path, monkeypatch, c
 
 
 def test_training_gets_its_share_however_long_the_poses_take(tmp_path):
-    stages = SimpleNamespace(
-        timed=lambda name: nullcontext(), measure_speed=lambda photos, data: StepSpeed(0.02, 1e-7)
-    )
     notes: list[str] = []
-    planner = _Planner(stages, lambda note: notes.append(note.text), 600.0, None, None, None)
+    planner = planner_of(lambda note: notes.append(note.text), 600.0)
     photos = Photos(50, 1600, 1200)
     free = planner.plan_training(photos, 0.0, tmp_path)
     assert not notes

@@ -34,8 +34,7 @@ def config(dataset, **changes):
 
 def trained(cpu, dataset, **changes) -> Trainer:
     trainer = Trainer(cpu, dataset, config(dataset, **changes))
-    for _ in trainer.steps(STEPS):
-        pass
+    list(trainer.steps(STEPS))
     return trainer
 
 
@@ -145,8 +144,7 @@ def test_in_a_box_its_least_anchors_go_before_the_switch_and_no_others(cpu, data
         return position[~settings.learning_box.holds(position)]
 
     others = outside()
-    for _ in trainer.steps(STEPS):
-        pass
+    list(trainer.steps(STEPS))
     assert [one.step for one in trainer.rounds] == [
         round(share * settings.switch_step) for share in THINNED
     ]
@@ -166,8 +164,7 @@ def test_training_repairs_what_rounds_do_unless_a_size_must_be_met(cpu, dataset,
 @pytest.mark.slow
 def test_anchors_rest_in_the_end(cpu, dataset):
     trainer = Trainer(cpu, dataset, config(dataset))
-    for _ in trainer.steps(trainer.config.freeze_step + 1):
-        pass
+    list(trainer.steps(trainer.config.freeze_step + 1))
     feature, weights = (trainer.parameters.scene.anchors.feature, trainer.parameters.scene.weights)
     before, weights_before = cpu.download(feature), cpu.download(weights)
     trainer.step()

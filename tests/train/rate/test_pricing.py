@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clgs.constants import FEATURE_DIM, K_OFFSETS
 from clgs.errors import ClgsError
 from clgs.scene.anchors import QuantizationScales, QuantizedAnchors
 from clgs.train.rate.pricing import (
@@ -36,9 +35,8 @@ def state(rng):
 
 @pytest.fixture
 def now(state, rng):
-    shapes = {"offset": (K_OFFSETS, 3), "feature": (FEATURE_DIM,), "scaling": (6,)}
     curvature = {
-        name: 10.0 ** rng.uniform(-9, -5, (COUNT, *shape)) for name, shape in shapes.items()
+        name: 10.0 ** rng.uniform(-9, -5, one.first.shape) for name, one in state.moments.items()
     }
     importance = 10.0 ** rng.uniform(-9, -3, COUNT)
     return Situation(state.anchors, Judgement(0.1, importance, curvature.__getitem__), SCALES)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -145,10 +147,7 @@ def test_no_price_no_gradient(device, parameters):
 
 
 def test_the_code_weighs_the_bits_of_an_anchor_now_and_then(device, parameters):
-    config = TrainConfig(
-        switch_step=0, growth_end=0, growth_start=0, statistics_start=0, rate_weight=1e-4
-    )
-    term = term_of(device, 0.0, config)
+    term = term_of(device, 0.0, replace(CONFIG, rate_weight=1e-4))
     assert not added(device, term, parameters, 9)["feature"].any()
     per_anchor = added(device, term, parameters, 10)["feature"]
     x = device.download(parameters.scene.anchors.feature)

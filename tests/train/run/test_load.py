@@ -209,8 +209,7 @@ def test_features_that_networks_for_objects_do_not_read_stay_zero(dataset, cpu):
     assert read[FEATURE_DIM:].all()  # the direction
     assert not read[LIVE:FEATURE_DIM].any()
     trainer = Trainer(cpu, dataset, config)
-    for _ in range(STEPS):
-        trainer.step()
+    list(trainer.steps(STEPS))
     trained = cpu.download(trainer.parameters.scene.anchors.feature)
     assert trained[:, :LIVE].any(axis=0).all()
     assert not trained[:, LIVE:].any()

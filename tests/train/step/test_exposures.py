@@ -14,6 +14,7 @@ from clgs.train.config import preset
 from clgs.train.run.trainer import Trainer
 from clgs.train.step.look import ExposureTerm
 from tests.data.folders import write_room
+from tests.train.state.test_run_state import arrays_of
 
 STEPS, PHOTOS, WALL_POINTS = 300, 16, 4500
 MARGIN = 1.5
@@ -62,13 +63,6 @@ def test_held_out_views_of_true_exposure_gain(cpu, uneven):
     assert psnr[True] >= psnr[False] + MARGIN, psnr
 
 
-def state(one):
-    arrays = [array for _, array in one.parameters.scene.items()]
-    exposures = one.state.exposures
-    arrays += [exposures.maps, exposures.moments.first, exposures.moments.second]
-    return [one.device.download(array).tobytes() for array in arrays]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("optimizer", ["device", "numpy"])
 def test_a_resumed_run_learns_the_same(cpu, uneven, tmp_path, optimizer):
@@ -80,18 +74,18 @@ def test_a_resumed_run_learns_the_same(cpu, uneven, tmp_path, optimizer):
     first.save(tmp_path)
     second.resume(tmp_path)
     list(second.steps(13))
-    assert state(second) == state(whole)
+    assert arrays_of(cpu, second.state) == arrays_of(cpu, whole.state)
     maps = cpu.download(whole.state.exposures.maps)
     assert np.abs(maps - np.eye(3, 4)).max() > 0.005
 
 
 def test_a_gradient_that_is_not_finite_changes_no_map(cpu, uneven):
     one = trainer(cpu, uneven, exposure=True)
-    before = state(one)
+    before = arrays_of(cpu, one.state)
     stop = cpu.upload(np.ones(1, np.int32))
     term = ExposureTerm(cpu, one.config, len(uneven.train))
     term.learn(one.state.exposures, [0], STEPS, stop)
-    assert state(one) == before
+    assert arrays_of(cpu, one.state) == before
 
 
 @pytest.mark.slow
@@ -102,4 +96,4 @@ def test_steps_that_lack_room_are_repeated_with_their_exposures(cpu, uneven):
     for result in ahead.steps(90):
         if result.step % 20 == 0:
             ahead.queue.room = replace(ahead.queue.room, gaussians=8)
-    assert state(ahead) == state(waiting)
+    assert arrays_of(cpu, ahead.state) == arrays_of(cpu, waiting.state)

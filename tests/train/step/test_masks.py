@@ -14,6 +14,7 @@ from clgs.train.config import preset
 from clgs.train.quality.scores import evaluate_views, psnr_8bit, psnr_channel_mean, ssim
 from clgs.train.run.trainer import Trainer
 from clgs.train.state.hashes import run_digest
+from tests.train.state.test_run_state import arrays_of
 
 STEPS = 60
 
@@ -47,9 +48,8 @@ def half():
 
 def trained(cpu, dataset, **changes):
     trainer = Trainer(cpu, dataset, config(dataset, **changes))
-    results = [trainer.step() for _ in range(STEPS)]
-    scene = trainer.parameters.scene
-    return results, {name: cpu.download(array).tobytes() for name, array in scene.items()}
+    results = list(trainer.steps(STEPS))
+    return results, arrays_of(cpu, trainer.state)
 
 
 @pytest.mark.slow
@@ -78,8 +78,7 @@ def test_a_mask_is_part_of_what_a_run_is(dataset, half):
 @pytest.mark.slow
 def test_scores_do_not_see_what_is_hidden(dataset, cpu, half):
     trainer = Trainer(cpu, dataset, config(dataset))
-    for _ in range(20):
-        trainer.step()
+    list(trainer.steps(20))
     scene = trainer.quantized_scene()
     shown = []
     scores = [

@@ -10,6 +10,7 @@ import pytest
 from clgs.train.config import preset
 from clgs.train.config.run_settings import TRAINED
 from clgs.train.run.trainer import Trainer
+from tests.train.state.test_run_state import arrays_of
 
 STEPS = 60
 
@@ -60,6 +61,5 @@ def test_steps_ahead_change_no_bit(cpu, dataset):
     for ahead in (True, False):
         trainer = Trainer(cpu, dataset, config(dataset), ahead=ahead)
         list(trainer.steps(STEPS))
-        scene = trainer.parameters.scene
-        ends.append({name: cpu.download(array).tobytes() for name, array in scene.items()})
+        ends.append(arrays_of(cpu, trainer.state))
     assert ends[0] == ends[1]
