@@ -37,7 +37,7 @@ from clgs.train.quality.importance import LEAST_WEIGHT, view_weights
 from clgs.train.run.run_folder import PLAN
 
 Integers = npt.NDArray[np.int32]
-Weights = npt.NDArray[np.float64]
+Floats = npt.NDArray[np.float64]
 
 AUTO = "auto"
 
@@ -142,7 +142,7 @@ class Cuts:
 
 
 def cut_scene(
-    position: Integers, contribution: Weights, up: Weights, counts: tuple[int, int]
+    position: Integers, contribution: Floats, up: Floats, counts: tuple[int, int]
 ) -> Cuts:
     """Cuts of a scene into ``counts`` rows and columns of about equal contribution.
 
@@ -168,14 +168,14 @@ def cut_scene(
     return Cuts((first, second), rows, columns, (margin[0], margin[1]))
 
 
-def long_axes(position: Integers, weight: Weights, up: Weights) -> tuple[int, int]:
+def long_axes(position: Integers, weight: Floats, up: Floats) -> tuple[int, int]:
     """The axes other than the one nearest to ``up``, the one along which anchors spread first."""
     flat = [axis for axis in range(3) if axis != int(np.argmax(np.abs(up)))]
     first, second = sorted(flat, key=lambda axis: -bulk(position[:, axis], weight))
     return first, second
 
 
-def bulk(coordinate: Integers, weight: Weights) -> float:
+def bulk(coordinate: Integers, weight: Floats) -> float:
     """The length that holds most of the weight (A,) along one axis, in cells."""
     order = np.argsort(coordinate, kind="stable")
     total = np.cumsum(weight[order])
@@ -184,7 +184,7 @@ def bulk(coordinate: Integers, weight: Weights) -> float:
     return float(coordinate[order[high]]) - float(coordinate[order[low]])
 
 
-def _cuts(coordinate: Integers, weight: Weights, parts: int) -> tuple[float, ...]:
+def _cuts(coordinate: Integers, weight: Floats, parts: int) -> tuple[float, ...]:
     """The ``parts`` - 1 half-integers between parts of about equal weight, none of them empty."""
     places, index = np.unique(coordinate, return_inverse=True)
     if len(places) < parts:
@@ -212,7 +212,6 @@ SPARE = 1.5
 """A block also holds its margin, and what its cameras see of others."""
 
 Mask = npt.NDArray[np.bool_]
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from clgs.arguments import check_type
 from clgs.constants import K_OFFSETS, SSIM_C1, SSIM_C2, SSIM_SIGMA, SSIM_WINDOW
 from clgs.data.view import Color, View, with_photos
 from clgs.errors import ClgsError, UsageError
-from clgs.exports.pictures import picture_names
+from clgs.exports.pictures import Picture, picture_names
 from clgs.files import append, atomic_write, atomic_write_all
 from clgs.machine import processors, workers
 from clgs.opencl.device import Device
@@ -165,8 +165,6 @@ PROTOCOL = (
     "sigma 1.5, zero padding"
 )
 LPIPS_PROTOCOL = "; lpips: VGG, version 0.1, pictures in [0, 1] not rescaled to [-1, 1]"
-
-Picture = npt.NDArray[np.uint8]
 
 Measure = Callable[[Picture, Picture], float]
 """A score of a render and a photo, both (H, W, 3) uint8."""

@@ -27,6 +27,7 @@ from clgs.scene.anchors import (
 )
 from clgs.train.config import TrainConfig
 from clgs.train.quality.importance import Sensitivity, sensitivity
+from clgs.train.quality.rate_control import PIXELS
 from clgs.train.state.run_state import ANCHOR_GROUPS, HostRows, render_settings
 from clgs.train.state.voxel_grid import position_integers
 
@@ -34,9 +35,6 @@ Floats = npt.NDArray[np.float64]
 
 COMPARED = 8
 """Views on which the loss and the squared error are measured."""
-
-PIXELS = 2.0
-"""Pictures are drawn at half the resolution if this many pixels per anchor remain."""
 
 
 @dataclass(frozen=True)
@@ -157,14 +155,9 @@ class LaplaceLaw:
         mean = integers.mean(axis=0)
         scale = np.maximum(np.abs(integers - mean).mean(axis=0), LEAST_SCALE)
         centre = np.rint(mean)
-        half = np.full_like(mean, 0.5)
-        return cls(
-            mean,
-            scale,
-            centre,
-            rate.cost(np.abs(centre - mean), scale).nats,
-            rate.cost(half, scale).nats,
-        )
+        at_centre = rate.cost(np.abs(centre - mean), scale).nats
+        edge = rate.cost(np.full_like(mean, 0.5), scale).nats
+        return cls(mean, scale, centre, at_centre, edge)
 
     def nats(self, integers: Floats) -> Floats:
         """What each of the integers (A, channels) costs, in nats."""

@@ -98,9 +98,7 @@ class Session:
         if lock is None and folder.is_dir():
             lock = FolderLock(folder)
         goes_on = resume and bool(checkpoints(folder / "checkpoint"))
-        state = None
-        if first is not None and not goes_on:
-            state = first(config)
+        state = None if first is None or goes_on else first(config)
         self.trainer = Trainer(device, dataset, config, state=state, others=others)
         if goes_on:
             self.trainer.resume(folder / "checkpoint")

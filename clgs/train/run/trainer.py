@@ -16,7 +16,7 @@ from clgs.data.view import View
 from clgs.errors import BudgetError, ClgsError, UsageError
 from clgs.opencl.device import Device
 from clgs.ops import scan
-from clgs.options import BACKGROUNDS, RenderOptions
+from clgs.options import BACKGROUNDS
 from clgs.render.frame import EXACT_ROOM, Frame
 from clgs.render.renderer import Renderer
 from clgs.scene.anchors import quantize
@@ -106,6 +106,7 @@ class Trainer:
         self.device, self.dataset, self.config = device, dataset, config
         self.state = state or first_state(device, dataset, config)
         self.settings = render_settings(config, dataset.train)
+        self.options = config.render_options()
         self.rounding = Rounding(device, config)
         self.queue = StepQueue(device, dataset, config, self.rounding, others)
         self.economy = Economy(device, dataset, config, self.rounding)
@@ -130,11 +131,6 @@ class Trainer:
         state, config = self.state, self.config
         wanted = config.size_lambda and not config.target_size and not state.rate.price
         return not wanted or any(step >= state.step for step in self.economy.steps)
-
-    @property
-    def options(self) -> RenderOptions:
-        """Accuracy and skips of every render."""
-        return self.queue.options
 
     def save(self, folder: Path) -> None:
         """Write a checkpoint of the last step done into ``folder``; no step may be under way.

@@ -104,7 +104,6 @@ class StepQueue:
         self._others = list(made.values())
         self._turns = [made.get(each) for each in (device, *others)]
         self._rate = RateTerm(device, config)
-        self.options = self._looks.options
         self.room = EXACT_ROOM
         self._sizes = self.room, 0
 
@@ -211,5 +210,5 @@ class StepQueue:
 
     def render(self, step: int, view: ViewInput, state: RunState) -> Frame:
         """Render what a step compares with a photo; arrays have their exact sizes."""
-        scene = self._rounding.scene_at(state, step)
-        return rasterise(self._device, scene, self._looks.target(step, view).view, self.options)
+        scene, looks = self._rounding.scene_at(state, step), self._looks
+        return rasterise(self._device, scene, looks.target(step, view).view, looks.options)

@@ -178,8 +178,8 @@ class RunStages:
         split = json.loads((self.run_folder / RESULTS).read_text(encoding="utf-8"))["split"]
         settings = self._record.settings
         size = settings["max_size"]
-        others: dict[str, Any] = {}
-        others |= {name: settings[name] for name in ("masks", "test_every") if name in settings}
+        names = [name for name in ("masks", "test_every") if name in settings]
+        others: dict[str, Any] = {name: settings[name] for name in names}
         words = ["eval", file, "--data", data, "--json", scores, "--overwrite"]
         words += ["--max-size", size, "--split", split, "--device", device]
         words += setting_options(others)
@@ -207,20 +207,12 @@ class RunStages:
         if along.size is not None:
             path_words += ["--size", "{}x{}".format(*along.size)]
         write = partial(export, run, overwrite=True, on_event=on_event)
+        write_page = partial(write, page, name=shown.title)
+        write_gaussians = partial(write, gaussians, device=device)
         draw = partial(render_clip, run, clip, along, views, overwrite=True, on_event=on_event)
         todo: list[tuple[str, Path, list[Any], Callable[[], object]]] = [
-            (
-                "page",
-                page,
-                ["export", run, "--name", shown.title],
-                partial(write, page, name=shown.title),
-            ),
-            (
-                "Gaussians",
-                gaussians,
-                ["export", run, *device_words],
-                partial(write, gaussians, device=device),
-            ),
+            ("page", page, ["export", run, "--name", shown.title], write_page),
+            ("Gaussians", gaussians, ["export", run, *device_words], write_gaussians),
             ("clip", clip, ["render", run, *path_words, *device_words], draw),
         ]
         failures: dict[str, Exception] = {}
