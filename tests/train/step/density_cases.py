@@ -20,7 +20,6 @@ from clgs.train.step import grow_and_prune
 
 VOXEL = 0.5
 CONFIG = TrainConfig(voxel=VOXEL, growth_threshold=0.25)
-GROUPS = ("offset", "feature", "scaling")
 
 
 class Draws:
@@ -76,8 +75,8 @@ def integers_of(state: HostRows) -> list[tuple[int, ...]]:
 
 def arrays_of(state: HostRows) -> dict[str, npt.NDArray[Any]]:
     found = {**dict(state.anchors.items()), **dict(state.statistics.items())}
-    for name in GROUPS:
-        found |= {f"{which} {name}": array for which, array in state.moments[name].items()}
+    for name, moments in state.moments.items():
+        found |= {f"{which} {name}": array for which, array in moments.items()}
     return found
 
 
@@ -90,8 +89,7 @@ def assert_same(first: HostRows, second: HostRows) -> None:
 
 def assert_rows(state: HostRows, numbers: list[int]) -> None:
     """The rows are those that :func:`state_at` numbered so, in every array; 0 is a new row."""
-    for name in GROUPS:
-        moments = state.moments[name]
+    for name, moments in state.moments.items():
         for moment, factor in ((moments.first, 1), (moments.second, 10)):
             flat = moment.reshape(len(moment), -1)
             assert (flat == factor * np.array(numbers)[:, None]).all(), name
