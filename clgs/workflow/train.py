@@ -14,7 +14,7 @@ from clgs.files import check_folder, write_json
 from clgs.machine import return_freed_memory
 from clgs.opencl.device import Device
 from clgs.train.config import TrainConfig
-from clgs.train.run.load import check_box, load_for, state_of_run, steps_done
+from clgs.train.run.load import load_for, state_of_run, steps_done
 from clgs.train.run.run_folder import (
     RunResult,
     check_run_folder,
@@ -94,7 +94,6 @@ def train(
     points = folder if start is None else start  # that run has triangulated some already
     dataset = load_for(config, data, points, lambda line: on_event(Note(line)))
     if begun is not None:
-        check_box(config, begun.scene.dequantize().anchors.position, f"the anchors of {start}")
         posed = repose(dataset, begun.scene.transform)
         if doubt := same_place(begun.folder, dataset, posed, data):
             on_event(Note(doubt))

@@ -256,7 +256,7 @@ def option(
     return field(default=default, metadata={METADATA: declared})
 
 
-def moment(default: int, help: str, group: str = "") -> Any:
+def step_number(default: int, help: str, group: str = "") -> Any:
     """Declare a step number, 0 for none, as an option that moves with ``steps``."""
     return option(default, help, at_least(0), unit="step number", group=group, scaled=True)
 

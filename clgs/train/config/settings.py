@@ -21,7 +21,7 @@ from clgs.arguments import check_type, number
 from clgs.data.reduction import OBJECT
 from clgs.errors import UsageError
 from clgs.options import RenderOptions, render_options
-from clgs.train.config.option import WEIGHT, at_least, moment, option, options_of
+from clgs.train.config.option import WEIGHT, at_least, option, options_of, step_number
 from clgs.train.config.run_settings import (
     FULL_STEPS,
     LEAST_ANCHORS,
@@ -162,14 +162,14 @@ class TrainConfig(GrowthSettings, SizeSettings, PhotoSettings, RunSettings):
         at_least(0),
         unit="per unit of log scale",
     )
-    switch_step: int = moment(15_000, "last step without quantisation and rate proxy (paper)")
+    switch_step: int = step_number(15_000, "last step without quantisation and rate proxy (paper)")
     mlp: str = option(
         "quantized",
         "whether the weights of the MLPs are rounded after mlp_switch_step (12 KB of the file), or "
         "stay as they are (46 KB)",
         ("quantized", "float32"),
     )
-    mlp_switch_step: int = moment(
+    mlp_switch_step: int = step_number(
         24_000, "last step that renders with weights of the MLPs that are not rounded"
     )
     optimizer: str = option(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from clgs.train.config.option import ANY, WEIGHT, Range, at_least, moment, option
+from clgs.train.config.option import ANY, WEIGHT, Range, at_least, option, step_number
 from clgs.train.config.run_settings import LEAST_ANCHORS
 
 LEAST_TARGET = {"quantized": 14_000, "float32": 50_000}
@@ -64,10 +64,10 @@ class SizeSettings:
         Range(LEAST_ANCHORS, or_zero=True),
         unit="anchors",
     )
-    prune_end: int = moment(
+    prune_end: int = step_number(
         22_500, "last step after which anchors are left out that are not worth their bytes"
     )
-    freeze_step: int = moment(
+    freeze_step: int = step_number(
         28_500, "last step at which anchors learn; after it, only the MLPs do"
     )
     proxy: str = option(
@@ -95,15 +95,15 @@ class SizeSettings:
 class GrowthSettings:
     """When and where anchors grow, and when transparent ones go (Scaffold-GS)."""
 
-    statistics_start: int = moment(
+    statistics_start: int = step_number(
         500,
         "last step without statistics for growing and pruning (code)",
         group="growing and pruning",
     )
-    growth_start: int = moment(
+    growth_start: int = step_number(
         1_500, "last step at which anchors cannot change (paper); the first change is at 1,600"
     )
-    growth_end: int = moment(
+    growth_end: int = step_number(
         15_000,
         "first step at which anchors cannot change any more, at most switch_step (paper); the last "
         "change is at 14,900",

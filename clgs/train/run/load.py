@@ -227,7 +227,8 @@ def state_of_run(device: Device, dataset: Dataset, config: TrainConfig, folder: 
 
     Raises:
         DataError: ``folder`` holds no finished run, or a damaged one.
-        UsageError: the run has done ``config.steps`` already, or has positions on another grid.
+        UsageError: the run has done ``config.steps`` already, has positions on another grid, or no
+            anchor in the box of what learns.
     """
     found, old = finished_settings(folder)
     steps, scales = steps_done(found, config), found.scene.scales
@@ -236,6 +237,7 @@ def state_of_run(device: Device, dataset: Dataset, config: TrainConfig, folder: 
             f"position_q: positions of {folder} are multiples of 1 / {scales.position:g} already; "
             "leave it and voxel out, or give a later switch_step"
         )
+    check_box(config, found.scene.dequantize().anchors.position, f"the anchors of {folder}")
     saved = checkpoints(folder / "checkpoint")[-1:]
     same = found.summary["digest"] == run_digest(dataset, settings_for(dataset, old))
     if same and saved and int(saved[0].stem.removeprefix("step_")) == steps:

@@ -132,6 +132,7 @@ def test_anchors_of_a_much_longer_run_are_judged_anew(dataset, open_device, firs
     [
         ({}, "steps: .*first has done 40, which count; give more"),
         ({"steps": 41, "position_q": 7.0, "switch_step": 30}, "position_q: positions of .*first"),
+        ({"steps": 41, "box": "90,90,90,91,91,91"}, "box: .* holds none of the anchors of .*first"),
     ],
 )
 def test_what_cannot_be_trained_on_is_said(dataset, open_device, first, tmp_path, changed, said):
