@@ -21,7 +21,9 @@ print("held", flush=True)
 sys.stdin.readline()
 database.execute("ROLLBACK")
 print("free", flush=True)
+sys.stdin.readline()
 """
+"""Stays connected at the end: a connection that closes locks the database again for a moment."""
 
 
 @pytest.fixture
